@@ -101,7 +101,7 @@ def ours(scene: dict[str, Any]) -> dict[str, float]:
         collision_times,
         required_decelerations,
     )
-    from skd_evaluator.metrics.surrogate_scenes import Scene
+    from skd_evaluator.metrics.surrogate_scenes import Interaction
 
     times = DT * np.arange(STEPS + 1, dtype=np.float64)
     (x, y, heading, speed, length, width), (a, b, turned, pace, long, wide) = scene["users"]
@@ -110,7 +110,7 @@ def ours(scene: dict[str, Any]) -> dict[str, float]:
     car = np.column_stack([np.array([x, y]) + times[:, None] * steps[0], np.tile([heading, speed], (count, 1))])
     other = np.array([a, b]) + times[:, None] * steps[1]
     footprint, shape = (0.5 * length, 0.5 * length, 0.5 * width), (0.0, 0.5 * long, 0.5 * wide)
-    found = Scene(times, car, other, np.tile(steps[1], (count, 1)), np.full(count, turned), footprint, shape)
+    found = Interaction(times, car, other, np.tile(steps[1], (count, 1)), np.full(count, turned), footprint, shape)
     if scene["kind"] == "following":
         return {
             "HW": float(found.gap[0]),

@@ -1,8 +1,7 @@
-"""What the exact margin of the basic car costs and gives: mean, largest gap, core seconds, and what half speeds change.
+"""What the exact margin of the basic car costs and gives: mean, largest gap, core seconds.
 
-Per C: the mean margin of trials, each at most η_max, and the same without half speeds; the largest gap (m, and as a
-share of its margin), how many margins have one, how many trials have no way within η_max, core seconds in sum and the
-milliseconds of the slowest.
+Per C: the mean margin of trials, each at most η_max; the largest gap (m, and as a share of its margin), how many
+margins have one, how many trials have no hit within η_max, core seconds in sum and the milliseconds of the slowest.
 
     python benchmarks/exact_margin.py [--safe DIR] [--safe-count 20] [--trials 25] [--multipliers C ...] [--json]
 """
@@ -45,12 +44,10 @@ def row(plan: Plan, safe: Sequence[Trajectory], trials: int) -> dict[str, Any]:
             none += 1
         else:
             margins[index], gaps[index] = found.distance, found.gap
-    plain = [exact_margin(episode, half_speed=False) for episode in episodes]
     return {
         "multiplier": plan.multiplier,
         "trials": len(episodes),
         "margin": float(margins.mean()),
-        "full_speed": float(np.mean([eta_max if one is None else one.distance for one in plain])),
         "gap": float(gaps.max()),
         "gap_share": float(np.max(np.divide(gaps, margins, out=np.zeros_like(gaps), where=margins > 0.0))),
         "inexact": int((gaps > 0.0).sum()),
@@ -80,7 +77,7 @@ def main() -> None:
         if not options.json:
             one = rows[-1]
             print(
-                f"C {multiplier:5.3f}: margin {one['margin']:.4f} m (full speed only {one['full_speed']:.4f}),"
+                f"C {multiplier:5.3f}: margin {one['margin']:.4f} m,"
                 f" largest gap {one['gap']:.4f} m ({100.0 * one['gap_share']:.1f} %), not exact {one['inexact']},"
                 f" none {one['none']} of {one['trials']}, {one['seconds']:.2f} s, slowest {one['slowest_ms']:.0f} ms",
                 flush=True,

@@ -5,7 +5,7 @@ depends on the curves, so there are several kinds, from those that it is fastest
 many curves of one length against one reference; slow libraries get the first pairs of it. Every value must agree to
 1e-12 with ours, or there is no result. A library that is not installed is reported as such.
 
-Then: what a bound spares, and what two threads do (by the clock).
+Then: what a bound spares.
 
     python benchmarks/frechet.py [--json]
 """
@@ -27,7 +27,6 @@ from skd_evaluator.metrics.frechet import discrete_frechet, discrete_frechet_pai
 
 _SIZES = (40, 1000)
 _BATCH = {40: 192, 1000: 16}  # pairs that share one reference
-_THREAD_BATCH = {40: 4096, 1000: 128}
 _ROUNDS = 5
 _SECONDS_A_TURN = 0.1  # per library, kind and size; a slow call is made once a turn
 _BATCHED, _ONE, _SHAPELY = "skd, batch", "skd, one pair", "shapely, vectorised"
@@ -106,21 +105,21 @@ def _candidates(kind: str, p: np.ndarray, others: np.ndarray) -> dict[str, Timed
     return candidates
 
 
-def _medians(timed: dict[str, Timed], clock: Callable[[], float] = time.thread_time) -> dict[str, float]:
+def _medians(timed: dict[str, Timed]) -> dict[str, float]:
     """Return µs a pair: the median over rounds in which each has its turn."""
     repetitions = {}
     for name, (call, _) in timed.items():
         call()  # compiles, too
-        started = clock()
+        started = time.thread_time()
         call()
-        repetitions[name] = max(1, int(_SECONDS_A_TURN / (clock() - started)))
+        repetitions[name] = max(1, int(_SECONDS_A_TURN / (time.thread_time() - started)))
     turns: dict[str, list[float]] = {name: [] for name in timed}
     for _ in range(_ROUNDS):
         for name, (call, pairs) in timed.items():
-            started = clock()
+            started = time.thread_time()
             for _ in range(repetitions[name]):
                 call()
-            turns[name].append(1e6 * (clock() - started) / (repetitions[name] * pairs))
+            turns[name].append(1e6 * (time.thread_time() - started) / (repetitions[name] * pairs))
     return {name: statistics.median(values) for name, values in turns.items()}
 
 
@@ -152,20 +151,6 @@ def _bounds(size: int) -> dict[str, float]:
     return _medians(timed)
 
 
-def _threads(size: int) -> dict[str, float]:
-    """Return µs a pair in a large batch of random walks on one thread and on two."""
-    p, others = _curves("random walks", size, _THREAD_BATCH[size])
-    if not np.array_equal(discrete_frechet_pairs(p, others), discrete_frechet_pairs(p, others, workers=2)):
-        raise SystemExit("threads change distances")
-    return _medians(
-        {
-            f"{n} thread{'s' * (n > 1)}": ((lambda n=n: discrete_frechet_pairs(p, others, workers=n)), len(others))
-            for n in (1, 2)
-        },
-        time.perf_counter,
-    )
-
-
 def _fastest_library(row: dict[str, float | None]) -> tuple[str, float] | None:
     others = {name: micros for name, micros in row.items() if micros is not None and not name.startswith("skd")}
     name = min(others, key=others.__getitem__, default=None)
@@ -195,21 +180,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print JSON: all figures, µs a pair")
     arguments = parser.parse_args()
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(cores)})
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     comparison = {size: {kind: _compare(kind, size) for kind in _KINDS} for size in _SIZES}
     bounds = {size: _bounds(size) for size in _SIZES}
-    os.sched_setaffinity(0, cores)
-    threads = {size: _threads(size) for size in _SIZES} if len(cores) > 1 else {}
     if arguments.json:
-        print(json.dumps({"one core": comparison, "bounds": bounds, "threads": threads}, indent=2))
+        print(json.dumps({"one core": comparison, "bounds": bounds}, indent=2))
         return
     for size, rows in comparison.items():
         _print_comparison(size, rows)
-    for title, figures in (("with a bound, one core", bounds), (f"on {len(cores)} cores, by the clock", threads)):
-        print(f"\nBatches of random walks {title}, µs a pair")
-        for size, row in figures.items():
-            print(f"{f'{size} × {size}':14}" + "   ".join(f"{name}: {micros:.2f}" for name, micros in row.items()))
+    print("\nBatches of random walks with a bound, µs a pair")
+    for size, row in bounds.items():
+        print(f"{f'{size} × {size}':14}" + "   ".join(f"{name}: {micros:.2f}" for name, micros in row.items()))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from skd_evaluator.margin.basic_margins import (
     unknown_for,
     yardstick,
 )
-from skd_evaluator.metrics.equivalent_multiplier import Difference
+from skd_evaluator.metrics.equivalent_multiplier import MarginDifference
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import Trajectory
 
@@ -138,12 +138,12 @@ def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower, 
     """Where the difference falls steadily with C, with an interval of ± `reach` in C."""
     asked: set[int] = set()
 
-    def compared(hundredths: int) -> Difference:
+    def compared(hundredths: int) -> MarginDifference:
         assert LOWEST <= hundredths <= HIGHEST
         asked.add(hundredths)
         mean = truth - hundredths / 100
         inner = max(0.0, reach - narrower)
-        return Difference(mean, (mean - reach, mean + reach), (mean - inner, mean + inner), 10)
+        return MarginDifference(mean, (mean - reach, mean + reach), (mean - inner, mean + inner), 10)
 
     search(compared, guess)
     assert len(asked) <= 40

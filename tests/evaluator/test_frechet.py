@@ -2,9 +2,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import multiprocessing
-import threading
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -12,11 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skd_evaluator.metrics.frechet import (
-    _LANES,
-    _PARTS_A_WORKER,
     _even_coupling,
     _greedy_coupling,
-    _parts,
     discrete_frechet,
     discrete_frechet_pairs,
 )
@@ -195,7 +189,6 @@ def test_batch_of_real_numbers_equals_single_bit_for_bit(count, dimension):
 
 def test_batch_of_nothing_is_empty():
     assert discrete_frechet_pairs([[0.0, 0.0]], []).shape == (0,)
-    assert discrete_frechet_pairs([[0.0, 0.0]], [], workers=2).shape == (0,)
     assert discrete_frechet_pairs([[0.0, 0.0]], np.empty((0, 3, 2))).shape == (0,)
 
 
@@ -317,53 +310,6 @@ def test_bad_bound_is_refused(bad):
         discrete_frechet(GOOD, GOOD, bound=bad)
     with pytest.raises(ValueError, match="bound must be 0 or more"):
         discrete_frechet_pairs(GOOD, [GOOD], bound=bad)
-
-
-@pytest.mark.parametrize("workers", [2, 3, 8])
-@pytest.mark.parametrize("count", [1, 7, 9, 200])
-def test_threads_change_no_bit(count, workers):
-    rng = np.random.default_rng([count, workers])
-    reference = walk(rng, 37)
-    others = [walk(rng, int(rng.integers(1, 60))) for _ in range(count)]
-    alone = discrete_frechet_pairs(reference, others)
-    assert discrete_frechet_pairs(reference, others, workers=workers).tolist() == alone.tolist()
-    bound = float(np.median(alone))
-    bounded = discrete_frechet_pairs(reference, others, bound=bound, workers=workers)
-    assert bounded.tolist() == [within(distance, bound) for distance in alone]
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-@pytest.mark.parametrize("count", [1, 7, 64, 65, 1000])
-def test_work_is_cut_so_that_all_have_much_the_same_to_do(count, workers):
-    order = np.random.default_rng(count).permutation(count)
-    parts = _parts(order, workers)
-    assert np.concatenate(parts).tolist() == order.tolist()
-    if workers == 1:
-        assert len(parts) == 1
-        return
-    sizes = [part.size for part in parts]
-    # Full lanes in each but the last; several parts a worker, so that one that is late is not late by much.
-    assert all(size % _LANES == 0 for size in sizes[:-1])
-    assert max(sizes) < count / (_PARTS_A_WORKER * workers) + _LANES
-    assert len(parts) <= _PARTS_A_WORKER * workers
-
-
-def test_threads_end_with_the_call():
-    rng = np.random.default_rng(6)
-    reference, others = walk(rng, 30), [walk(rng, 30) for _ in range(100)]
-    before = threading.active_count()
-    expected = discrete_frechet_pairs(reference, others, workers=2)
-    assert threading.active_count() == before
-    # So a process may fork afterwards, and its children may use threads again.
-    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
-        theirs = pool.submit(discrete_frechet_pairs, reference, others, workers=2).result(timeout=300)
-    assert theirs.tolist() == expected.tolist()
-
-
-@pytest.mark.parametrize("workers", [0, -1])
-def test_no_workers_are_refused(workers):
-    with pytest.raises(ValueError, match="at least one worker"):
-        discrete_frechet_pairs(GOOD, [GOOD], workers=workers)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -21,7 +21,7 @@ from skd_evaluator.extensions.fusion.calibration import (
     off_by,
     recorded,
 )
-from skd_evaluator.metrics.surrogate_scenes import Scene
+from skd_evaluator.metrics.surrogate_scenes import Interaction
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 
@@ -142,9 +142,11 @@ def test_recordings_that_cannot_calibrate_are_refused():
     times = np.arange(0.0, 3.0, 0.05)
     still = np.zeros((times.size, 2))
 
-    def scene(speed: float, count: int) -> Scene:
+    def scene(speed: float, count: int) -> Interaction:
         car = np.column_stack([still, np.full(times.size, 0.5 * math.pi), np.full(times.size, speed)])[:count]
-        return Scene(times[:count], car, still[:count], still[:count], times[:count], (2.0, 2.0, 0.9), (0.25, 0.0, 0.0))
+        return Interaction(
+            times[:count], car, still[:count], still[:count], times[:count], (2.0, 2.0, 0.9), (0.25, 0.0, 0.0)
+        )
 
     assert len(recorded(world, scene(8.3, 60), "walk", "here").car) == 10
     with pytest.raises(UsageError, match=r"begins at 6\.00 m/s, and in the simulation at 8\.33"):

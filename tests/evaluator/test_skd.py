@@ -117,14 +117,10 @@ def test_maximum_distance_leaves_out_and_counts():
 
 def test_the_maximum_may_be_of_another_distance():
     """What is left out is decided by that one; the distances of the rest are as they are."""
-    phi = crossing(9)
-    pairs = [(phi, [crossing(9, 1.0), crossing(9, 5.0)]), (phi, [crossing(9, 9.0)])]
-    limited = [np.array([2.5, 2.0]), np.array([0.0])]
-    result = compute_skd(pairs, maximum_distance=2.0, limited=limited)
-    assert [entry.kept.tolist() for entry in result.per_safe_trajectory] == [[1], [0]]
-    assert result.distances.tolist() == [5.0, 9.0]
-    assert result.discarded_by_distance == 1
-    assert compute_skd(pairs, limited=limited).pairs == 3
+    kept = kept_pairs("φ", np.array([1.0, 5.0]), np.array([0.5, 4.0]), np.array([2.5, 2.0]), 2.0)
+    assert kept.kept.tolist() == [1]
+    assert (kept.distances.tolist(), kept.prefix_distances.tolist()) == ([5.0], [4.0])
+    assert kept.discarded_by_distance == 1
 
 
 @pytest.mark.parametrize("pairs", [[], [(crossing(5), [])], [(crossing(5), []), (crossing(6), [])]])

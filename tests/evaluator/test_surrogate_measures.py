@@ -29,14 +29,14 @@ from skd_evaluator.metrics.surrogate_measures import (
     required_decelerations,
     surrogate_measures,
 )
-from skd_evaluator.metrics.surrogate_scenes import Course, Scene, Scenes, scene_of, velocities
+from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scene_of, velocities
 from skd_sim.scenario.scenario import load_scenario
 
 FOOTPRINT = 2.25, 1.75, 0.9
 SCENES = 200
 
 
-def scene_at(rng: np.random.Generator, shape: tuple[float, float, float], rows: int = 2) -> Scene:
+def scene_at(rng: np.random.Generator, shape: tuple[float, float, float], rows: int = 2) -> Interaction:
     """A scene in which both move uniformly, as between two ticks."""
     car_speed, heading = rng.uniform(0.0, 15.0), rng.uniform(-math.pi, math.pi)
     place, velocity = rng.uniform(-15.0, 15.0, 2), rng.uniform(-4.0, 4.0, 2)
@@ -45,7 +45,7 @@ def scene_at(rng: np.random.Generator, shape: tuple[float, float, float], rows: 
     car = np.column_stack([times[:, None] * car_speed * ahead, np.full(rows, heading), np.full(rows, car_speed)])
     other = place + times[:, None] * velocity
     turned = np.full(rows, math.atan2(velocity[1], velocity[0]))
-    return Scene(times, car, other, np.tile(velocity, (rows, 1)), turned, FOOTPRINT, shape)
+    return Interaction(times, car, other, np.tile(velocity, (rows, 1)), turned, FOOTPRINT, shape)
 
 
 def rectangles(places: np.ndarray, turned: np.ndarray, front: float, rear: float, half: float) -> np.ndarray:
@@ -55,7 +55,7 @@ def rectangles(places: np.ndarray, turned: np.ndarray, front: float, rear: float
     return np.asarray(shapely.polygons(corners @ turns + places[:, None]))
 
 
-def distances(scene: Scene) -> np.ndarray:
+def distances(scene: Interaction) -> np.ndarray:
     """By shapely; a disc by its centre, exactly."""
     car = rectangles(scene.car[:, :2], scene.car[:, 2], *scene.footprint)
     radius, length, width = scene.shape
@@ -78,7 +78,7 @@ def test_the_least_clearance_lies_between_moments_too(shape):
     between = 0
     for _ in range(SCENES):
         scene = scene_at(rng, shape, rows=5)
-        dense = Scenes.of(scene).every(0.001).whole
+        dense = Interactions.of(scene).every(0.001).whole
         expected = distances(dense).min()
         found = least_clearance(scene)
         assert expected - 0.01 <= found <= expected + 1e-6  # at 15 m/s a millisecond is 15 mm
@@ -101,16 +101,16 @@ def test_after_the_time_to_collision_the_outlines_touch_and_not_before(shape):
         for moment in (time - 1e-3, time):
             car = scene.car[:1] + np.array([*(moment * moving), 0.0, 0.0])
             other = scene.other[:1] + moment * scene.velocity[:1]
-            then = Scene(scene.times[:1], car, other, scene.velocity[:1], scene.turned[:1], FOOTPRINT, shape)
+            then = Interaction(scene.times[:1], car, other, scene.velocity[:1], scene.turned[:1], FOOTPRINT, shape)
             assert (distances(then)[0] < 1e-6) == (moment == time)
     assert met > 25
 
 
-def following(gap: float, speed: float, ahead: float) -> Scene:
+def following(gap: float, speed: float, ahead: float) -> Interaction:
     """A car behind a disc that moves the same way."""
     car = np.array([[0.0, 0.0, 0.0, speed]])
     other = np.array([[FOOTPRINT[0] + gap + 0.25, 0.0]])
-    return Scene(np.array([0.0]), car, other, np.array([[ahead, 0.0]]), np.zeros(1), FOOTPRINT, (0.25, 0.0, 0.0))
+    return Interaction(np.array([0.0]), car, other, np.array([[ahead, 0.0]]), np.zeros(1), FOOTPRINT, (0.25, 0.0, 0.0))
 
 
 def test_closed_forms_of_following():
@@ -149,13 +149,15 @@ def test_braking_with_the_required_deceleration_just_reaches_the_other():
 
 def test_somebody_who_will_have_passed_needs_no_braking():
     scene = following(10.0, 8.0, 0.0)
-    aside = Scene(scene.times, scene.car, scene.other + np.array([0.0, 2.0]), np.array([[0.0, 3.0]]), *_rest(scene))
+    aside = Interaction(
+        scene.times, scene.car, scene.other + np.array([0.0, 2.0]), np.array([[0.0, 3.0]]), *_rest(scene)
+    )
     assert np.isinf(collision_times(aside)).all()
     assert greatest_required_deceleration(aside) == 0.0
     assert math.isinf(headways(aside)[0])
 
 
-def _rest(scene: Scene) -> tuple[np.ndarray, tuple[float, float, float], tuple[float, float, float]]:
+def _rest(scene: Interaction) -> tuple[np.ndarray, tuple[float, float, float], tuple[float, float, float]]:
     return scene.turned, scene.footprint, scene.shape
 
 
@@ -175,12 +177,12 @@ def test_an_episode_is_a_scene_on_its_lane():
     assert scene.seen[0] == pytest.approx([15.25, 3.5])  # ahead, and to the left: in the West of who drives North
     assert scene.velocity == pytest.approx(velocities(times, adversary, np.array([0, 3])))
     assert scene.closing == pytest.approx([8.0, 8.0 - 1 / 3, 8.0 - 1 / 3])
-    finer = Scenes.of(scene).every(0.1).whole
+    finer = Interactions.of(scene).every(0.1).whole
     assert finer.times == pytest.approx(np.arange(7) * 0.1)
     assert finer.car[1, 1] == pytest.approx(-14.45)
 
 
-def crossing_at(rng: np.random.Generator) -> tuple[Scene, float]:
+def crossing_at(rng: np.random.Generator) -> tuple[Interaction, float]:
     """Two ways that cross at a right angle, and the post-encroachment time by its four moments."""
     speed, walks, radius = rng.uniform(2.0, 12.0), rng.uniform(0.8, 3.0), 0.25
     gap, aside = rng.uniform(3.0, 40.0), rng.uniform(2.0, 8.0)
@@ -188,7 +190,7 @@ def crossing_at(rng: np.random.Generator) -> tuple[Scene, float]:
     times = np.linspace(0.0, 60.0, 7)
     car = np.column_stack([speed * times, np.zeros(7), np.zeros(7), np.full(7, speed)])
     other = np.column_stack([np.full(7, gap + front), -aside + walks * times])
-    scene = Scene(times, car, other, np.tile([0.0, walks], (7, 1)), np.zeros(7), FOOTPRINT, (radius, 0.0, 0.0))
+    scene = Interaction(times, car, other, np.tile([0.0, walks], (7, 1)), np.zeros(7), FOOTPRINT, (radius, 0.0, 0.0))
     enters, leaves = (aside - half - radius) / walks, (aside + half + radius) / walks
     arrives, gone = (gap - radius) / speed, (gap + front + rear + radius) / speed
     return scene, max(0.0, arrives - leaves, enters - gone)
@@ -206,9 +208,11 @@ def test_post_encroachment_times_are_those_of_the_four_moments():
 
 def test_a_car_that_stops_before_has_no_post_encroachment_time():
     scene, _ = crossing_at(np.random.default_rng(7))
-    stands = Scene(scene.times, np.tile(scene.car[:1], (7, 1)), scene.other, scene.velocity, *_rest(scene))
+    stands = Interaction(scene.times, np.tile(scene.car[:1], (7, 1)), scene.other, scene.velocity, *_rest(scene))
     assert math.isnan(post_encroachment_time(stands))
-    turns = Scene(scene.times, scene.car + np.linspace(0, 1, 7)[:, None], scene.other, scene.velocity, *_rest(scene))
+    turns = Interaction(
+        scene.times, scene.car + np.linspace(0, 1, 7)[:, None], scene.other, scene.velocity, *_rest(scene)
+    )
     with pytest.raises(ValueError, match="straight way"):
         post_encroachment_time(turns)
 
@@ -249,7 +253,7 @@ def test_the_measures_of_an_episode():
     times = 0.3 * np.arange(9)
     phi = np.column_stack([-3.5 + 1.4 * times, np.zeros(9)])
     car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, 6.0)])
-    found = episode_measures(scenario, Course(times, phi, car), phi, collided=False)
+    found = episode_measures(scenario, EpisodeMotion(times, phi, car), phi, collided=False)
     scene = scene_of(scenario, times, phi, car)
     assert found["clearance"] == least_clearance(scene)
     # He goes on as φ does, at a constant velocity until its end: both predictions are the same where both lead to one.
@@ -263,7 +267,7 @@ def test_the_measures_of_an_episode():
     for plain, along in both:
         assert plain == pytest.approx(along, abs=0.01)
     assert found["fatality_risk"] is None
-    hit = episode_measures(scenario, Course(times, phi, car), phi, collided=True)
+    hit = episode_measures(scenario, EpisodeMotion(times, phi, car), phi, collided=True)
     assert hit["closing_speed"] == pytest.approx(math.hypot(6.0, 1.4))
     assert hit["fatality_risk_interval"][0] < hit["fatality_risk"] < hit["fatality_risk_interval"][1]
 
@@ -299,14 +303,14 @@ def test_episodes_together_are_what_they_are_alone(name):
         car = np.column_stack(
             [np.zeros(count), np.cumsum(rng.uniform(0.0, 2.0, count)) - 8.0, rng.uniform(0, 9, count)]
         )
-        courses.append(Course(times, adversary, car))
+        courses.append(EpisodeMotion(times, adversary, car))
     together = surrogate_measures(scenario, courses, collided)
     for number, one in enumerate(courses):
         alone = surrogate_measures(scenario, [one], collided[number : number + 1])
         assert {key: values[0] for key, values in alone.items()} == pytest.approx(
             {key: values[number] for key, values in together.items()}, abs=1e-12, nan_ok=True
         )
-        dense = Scenes.of(scene_of(scenario, *one)).every(0.05).whole
+        dense = Interactions.of(scene_of(scenario, *one)).every(0.05).whole
         least = together["clearance"][number]
         assert least <= distances(dense).min() + 1e-9
         assert not collided[number] or (least, together["post_encroachment_time"][number]) == (0.0, 0.0)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from skd_evaluator.extensions.exchange.scene import ExportedEpisode, actors_of, start_of
-from skd_evaluator.metrics.surrogate_scenes import Course, course_of
+from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
 
@@ -29,7 +29,7 @@ def scenarios() -> tuple[str, ...]:
 
 
 @cache
-def course(name: str, contact: bool = True, whole_ticks: bool = False) -> Course:
+def course(name: str, contact: bool = True, whole_ticks: bool = False) -> EpisodeMotion:
     """A car on its lane that brakes a little, and an adversary that turns a little, until a contact within a tick."""
     scenario = load_scenario(name)
     step, user = scenario.time_step, scenario.adversary
@@ -63,7 +63,7 @@ def safe(name: str, phi: np.ndarray) -> ExportedEpisode:
     """A φ of a scenario, ready to go out."""
     scenario = load_scenario(name)
     times = scenario.time_step * np.arange(len(phi))
-    actors = actors_of(scenario, Course(times, phi, np.full((len(phi), 3), np.nan)), with_car=False)
+    actors = actors_of(scenario, EpisodeMotion(times, phi, np.full((len(phi), 3), np.nan)), with_car=False)
     return ExportedEpisode("phi_000", "a φ", scenario, actors, start_of(scenario, phi), float(times[-1]), DATE)
 
 

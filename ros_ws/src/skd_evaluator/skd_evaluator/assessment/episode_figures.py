@@ -22,7 +22,7 @@ from skd_evaluator.assessment.plan import split_episode_id
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, clearances, surrogate_measures
-from skd_evaluator.metrics.surrogate_scenes import Scene, course_of
+from skd_evaluator.metrics.surrogate_scenes import Interaction, course_of
 
 ADVERSARY = -1
 
@@ -79,7 +79,7 @@ def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place
     car = log.episode.scenario.car
     footprint, nobody_moves = (car.front, car.rear, car.half_width), np.zeros((1, 2))
     states, turned = np.array([[*pose, 0.0]]), np.array([heading])
-    return float(clearances(Scene(np.zeros(1), states, place[None], nobody_moves, turned, footprint, shape))[0])
+    return float(clearances(Interaction(np.zeros(1), states, place[None], nobody_moves, turned, footprint, shape))[0])
 
 
 KEY: Final = "simulator_contacts"

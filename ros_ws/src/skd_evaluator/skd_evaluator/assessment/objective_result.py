@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,17 +16,16 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.episode_figures import closing_speed
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
-from skd_evaluator.metrics.deviation import MeanDeviation, Trials, mean_deviation
+from skd_evaluator.metrics.deviation import MeanDeviation, mean_deviation
 from skd_evaluator.metrics.measures import (
     DEVIATION,
     FRECHET,
     PREFIX,
     Measured,
-    Pair,
     measure_pairs,
     pair_of,
 )
-from skd_evaluator.metrics.skd import SkdResult, compute_skd
+from skd_evaluator.metrics.skd import SkdResult, kept_pairs, skd_of
 from skd_evaluator.metrics.statistics import (
     Interval,
     wilson_interval,
@@ -248,18 +248,14 @@ def objective_result(plan: Plan, kamikaze: Sequence[KamikazeSet], confidence: fl
     _check_numbers(kamikaze)
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
     measured = measure_pairs(pairs)
-    trials = [
-        _trials_of(group, phi, mine, distances)
-        for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEVIATION].values, strict=True)
-    ]
+    deviations = measured[DEVIATION].values
+    trials = [_hits_of(group, distances) for group, distances in zip(kamikaze, deviations, strict=True)]
     deviation = mean_deviation(trials, eta_max=plan.scenario.eta_max, confidence=confidence)
-    result = compute_skd(
-        [(phi, [one.psi for one in mine]) for phi, mine in pairs],
-        confidence=confidence,
-        maximum_distance=plan.maximum_distance,
-        limited=measured[DEVIATION].values if plan.limits_deviation else None,
-        measured=list(zip(measured[FRECHET].values, measured[PREFIX].values, strict=True)),
-    )
+    far, prefixes = measured[FRECHET].values, measured[PREFIX].values
+    limited = deviations if plan.limits_deviation else far
+    names = [phi.name for phi, _ in pairs]
+    entries = map(kept_pairs, names, far, prefixes, limited, itertools.repeat(plan.maximum_distance))
+    result = skd_of(list(entries), confidence)
     others = {name: one for name, one in measured.items() if not one.measure.headline}
     return ObjectiveResult(
         plan,
@@ -270,17 +266,15 @@ def objective_result(plan: Plan, kamikaze: Sequence[KamikazeSet], confidence: fl
         confidence=confidence,
         trial_deviations=tuple(
             _by_trial(group, distances, plan.scenario.eta_max)
-            for group, distances in zip(kamikaze, measured[DEVIATION].values, strict=True)
+            for group, distances in zip(kamikaze, deviations, strict=True)
         ),
     )
 
 
-def _trials_of(group: KamikazeSet, phi: Trajectory, pairs: Sequence[Pair], distances: FloatArray) -> Trials:
-    """Return the trials on one φ: those in which the moving car hit, and how many others ran to their end."""
+def _hits_of(group: KamikazeSet, distances: FloatArray) -> tuple[FloatArray, int]:
+    """Return the deviations on one φ with which the moving car hit, m, and how many other trials ran to their end."""
     hit = np.array([log.hit for log in group.logs], dtype=bool)
-    mine = [pair for pair, counts in zip(pairs, hit, strict=True) if counts]
-    failed = group.trials - group.aborted - len(mine)
-    return Trials(phi, [one.psi for one in mine], [one.duration for one in mine], failed, distances[hit])
+    return distances[hit], group.trials - group.aborted - int(hit.sum())
 
 
 def _check_numbers(kamikaze: Sequence[KamikazeSet]) -> None:

@@ -8,10 +8,8 @@ C are hundredths. They are asked for as they are needed: C whose margins lie on 
 bisection, and then those at which the difference is told apart from 0. That depends on the car's margins alone, and not
 on what was kept from before, nor on time or the number of workers.
 
-Margins of basic cars that were found before, in the user's cache: one small JSON file for a car and its trials.
-
-A file is named for all that its numbers depend on, written under another name and then renamed, and used only if its
-checksum, its shape and the range of its numbers are right; otherwise the margins are computed anew.
+Margins that were found are kept in the user's cache: a file for a car and its trials, named for all that its numbers
+depend on.
 """
 
 from __future__ import annotations
@@ -21,7 +19,6 @@ import hashlib
 import json
 import math
 import os
-import stat
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +30,6 @@ import numpy.typing as npt
 from skd_adversary.crossing.road_users import AS_PHI
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import read_json
 from skd_sim.options.car_under_test import BASIC, WORLD
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
@@ -45,8 +41,8 @@ from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.actions import has_exact_margin, velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.equivalent_multiplier import (
-    Difference,
     EquivalentMultiplier,
+    MarginDifference,
     difference,
     equivalent_multiplier,
 )
@@ -199,9 +195,9 @@ def equivalent_of(
         return None, f"none of the first {used} trials on each φ has a margin"
     basic = BasicMargins(plan, safe, used, runner, progress, users_cache() if cache is None else cache)
     asked: dict[int, list[FloatArray]] = {}
-    differences: dict[int, Difference] = {}
+    differences: dict[int, MarginDifference] = {}
 
-    def compared(hundredths: int) -> Difference:
+    def compared(hundredths: int) -> MarginDifference:
         if hundredths not in differences:
             margins = basic.at(hundredths)
             found = difference(car, margins)
@@ -231,7 +227,7 @@ def _guess(plan: Plan) -> int | None:
     return min(max(round(100 * plan.car.multiplier), LOWEST), HIGHEST)
 
 
-def search(compared: Callable[[int], Difference], guess: int | None = None) -> None:
+def search(compared: Callable[[int], MarginDifference], guess: int | None = None) -> None:
     """Compute the margins of those C from which an equivalent multiplier and its intervals follow.
 
     Args:
@@ -349,59 +345,35 @@ class MarginCache:
         self._folder = folder
 
     def load(self, key: str, safe_count: int, trials: int, eta_max: float) -> list[FloatArray] | None:
-        """Return the margins kept under a key, m, per φ; None where there are none that can be believed."""
+        """Return the margins kept under a key, m, per φ; None where there are none, or the file is damaged."""
         if self._folder is None:
             return None
         try:
-            path = self._path(key)
-            content = read_json(path)
-            margins = content["margins"]
-            if content["key"] != key or content["checksum"] != _digest(margins):
-                return None
-            found = np.array(margins, dtype=np.float64)  # null is nan
-        except (UsageError, OSError, ValueError, KeyError, TypeError):
+            found = np.load(self._folder / f"{key}.npy", allow_pickle=False)
+        except (OSError, ValueError, EOFError):
             return None
-        fits = found.shape == (safe_count, trials) and bool(
-            ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()
-        )
-        return list(found) if fits else None
+        good = found.shape == (safe_count, trials) and ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()
+        return list(found) if good else None
 
     def save(self, key: str, margins: Sequence[FloatArray]) -> None:
         """Keep margins, m, per φ; where that is not possible, they will be computed again."""
         if self._folder is None:
             return
-        rows = [[None if np.isnan(value) else value for value in one.tolist()] for one in margins]
-        text = json.dumps({"key": key, "checksum": _digest(rows), "margins": rows})
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
-            descriptor, name = tempfile.mkstemp(dir=self._folder, prefix=f".{key[:16]}-")
-            try:
-                with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-                    stream.write(text)
-                Path(name).replace(self._path(key))
-            except OSError:
-                Path(name).unlink(missing_ok=True)
-                raise
-
-    def _path(self, key: str) -> Path:
-        assert self._folder is not None
-        return self._folder / f"{key}.json"
+            with tempfile.NamedTemporaryFile(dir=self._folder, prefix=f".{key[:16]}-", delete=False) as stream:
+                np.save(stream, np.array(margins))
+            Path(stream.name).replace(self._folder / f"{key}.npy")
 
 
 def users_cache() -> MarginCache:
-    """Return the cache in $SKD_CACHE_DIR, else in the user's; one that keeps nothing where others may write to it."""
+    """Return the cache in $SKD_CACHE_DIR, else in the user's."""
     try:
         root = os.environ.get(VARIABLE)
         base = Path(root) if root else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skd"
-        folder = base / _FOLDER
-        base.mkdir(parents=True, exist_ok=True)
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir(mode=0o700)
-        found = folder.lstat()
-    except (OSError, RuntimeError):  # the latter where nobody knows a home
+    except RuntimeError:  # there is no home
         return MarginCache(None)
-    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o022
-    return MarginCache(folder if ours else None)
+    return MarginCache(base / _FOLDER)
 
 
 def _digest(content: Mapping[str, Any] | list[Any]) -> str:

@@ -32,7 +32,7 @@ from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.clustered import DISTANCES, Clustered, clustered_mean
-from skd_evaluator.metrics.measures import Measure
+from skd_evaluator.metrics.measures import Measure, Pair
 from skd_evaluator.metrics.statistics import Interval, mean, normal_interval
 
 _ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording may have been computed elsewhere
@@ -164,42 +164,15 @@ def hit_of(phi: FloatArray, log: EpisodeLog) -> Hit:
 
 
 @dataclass(frozen=True, eq=False)
-class Trials:
-    """The trials on one φ.
-
-    Attributes:
-        phi: the safe trajectory φ.
-        psis: the trajectories ψ of the trials that collided, each up to its contact.
-        durations: times of the contacts, in ticks since the start, one for each ψ.
-        failed: number of trials that ran to their end and did not collide.
-        measured: deviation of each ψ, m, where it is known already.
-    """
-
-    phi: Trajectory
-    psis: Sequence[Trajectory]
-    durations: Sequence[float]
-    failed: int
-    measured: FloatArray | None = None
-
-    def distances(self) -> FloatArray:
-        """Return the deviation of each ψ, m."""
-        if self.measured is not None:
-            return self.measured
-        return _distances(self.phi, self.psis, self.durations)
-
-
-@dataclass(frozen=True, eq=False)
 class SafeTrajectoryDeviation:
     """What the trials on one φ needed.
 
     Attributes:
-        name: name of φ.
-        distances: deviation of each trial that collided, in the order of the ψ given, m.
-        failed: number of trials that did not collide.
+        distances: deviation of each trial that hit, m.
+        failed: number of trials that ran to their end without a hit.
         eta_max: η_max, m: what a trial counts as that failed.
     """
 
-    name: str
     distances: FloatArray
     failed: int
     eta_max: float
@@ -269,32 +242,21 @@ class MeanDeviation:
 
 
 def mean_deviation(
-    trials_by_phi: Iterable[Trials],
-    *,
-    eta_max: float,
-    confidence: float = 0.95,
+    trials_by_phi: Iterable[tuple[FloatArray, int]], *, eta_max: float, confidence: float = 0.95
 ) -> MeanDeviation:
     """Compute the mean deviation of trials on safe trajectories.
 
     Args:
-        trials_by_phi: the trials on each φ.
+        trials_by_phi: for each φ the deviation of each trial that hit, m, and how many ran to their end without a hit.
         eta_max: η_max, m, > 0.
         confidence: confidence of the interval over φ; intervals over trials have 95 %.
 
     Raises:
-        ValueError: η_max is not positive; or as `deviation_pairs`.
+        ValueError: η_max is not positive.
     """
     if not eta_max > 0.0:
         raise ValueError(f"eta_max must be positive, got {eta_max}")
-    entries = tuple(
-        SafeTrajectoryDeviation(
-            one.phi.name,
-            one.distances(),
-            one.failed,
-            eta_max,
-        )
-        for one in trials_by_phi
-    )
+    entries = tuple(SafeTrajectoryDeviation(distances, failed, eta_max) for distances, failed in trials_by_phi)
     groups = [entry.restricted for entry in entries]
     counting = np.concatenate([np.empty(0), *groups])
     collided = np.concatenate([np.empty(0), *(entry.distances for entry in entries)])
@@ -309,14 +271,14 @@ def mean_deviation(
     )
 
 
-def _distances(phi: Trajectory, psis: Sequence[Trajectory], durations: Sequence[float]) -> FloatArray:
-    return deviation_pairs(phi.positions, [psi.positions for psi in psis], np.asarray(durations, float))
+def _of_pairs(phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:
+    return deviation_pairs(phi.positions, [one.psi.positions for one in pairs], [one.duration for one in pairs])
 
 
 DEVIATION = Measure(
     "deviation",
     "m",
-    lambda phi, pairs: _distances(phi, [pair.psi for pair in pairs], [pair.duration for pair in pairs]),
+    _of_pairs,
     shown=False,
     headline=True,
 )

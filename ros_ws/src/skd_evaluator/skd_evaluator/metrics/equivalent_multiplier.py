@@ -78,7 +78,7 @@ def _finite(value: float) -> float | None:
 
 
 @dataclass(frozen=True)
-class Difference:
+class MarginDifference:
     """How much more margin a car has than the basic car of one C.
 
     Attributes:
@@ -94,7 +94,7 @@ class Difference:
     trials: int
 
 
-def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> Difference | None:
+def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> MarginDifference | None:
     """Return the difference of two cars' margins, by trials that both have.
 
     Args:
@@ -119,7 +119,7 @@ def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> 
     found = clustered_mean(groups)
     if found is None:
         return None
-    return Difference(found.value, found.interval, _within(groups), found.values)
+    return MarginDifference(found.value, found.interval, _within(groups), found.values)
 
 
 def _within(groups: Sequence[FloatArray]) -> Interval | None:

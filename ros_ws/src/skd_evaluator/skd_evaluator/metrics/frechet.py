@@ -16,8 +16,7 @@ a range that becomes empty ends the sweep. (The idea of a limit from a quick cou
 discrete Fréchet distance between trajectories", BigSpatial 2017.)
 
 Every cell within the limit sees the same correctly rounded operations whatever the number of lanes, the bound and the
-range. So the bits of a distance do not depend on how it is computed: alone or in a batch, with or without a bound, on
-one thread or several.
+range. So the bits of a distance do not depend on how it is computed: alone or in a batch, with or without a bound.
 
 Dynamic time warping is the time-normalised distance of Sakoe and Chiba ("Dynamic programming algorithm optimization for
 spoken word recognition", IEEE Transactions on Acoustics, Speech, and Signal Processing 26, 1978), symmetric form
@@ -30,8 +29,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -351,7 +348,7 @@ def _sweep(
         out[chosen[lane]] = last[n * lanes + lane]
 
 
-@partial(kernel, nogil=True)
+@kernel
 def measure(
     p: FloatArray, flat: FloatArray, offsets: IntArray, order: IntArray, bound: float, most: int, out: FloatArray
 ) -> None:
@@ -412,7 +409,6 @@ def measure_one(p: FloatArray, q: FloatArray, bound: float) -> float:
 
 
 _LANES = 8  # curves side by side: of 1, 2, 4, 8 and 16 the best or nearly so from 40 to 1,000 points
-_PARTS_A_WORKER = 4  # parts of a batch per thread, so that none waits long for the last
 
 
 def discrete_frechet(p: npt.ArrayLike, q: npt.ArrayLike, *, bound: float = math.inf) -> float:
@@ -448,7 +444,6 @@ def discrete_frechet_pairs(
     others: Sequence[npt.ArrayLike] | FloatArray,
     *,
     bound: float = math.inf,
-    workers: int = 1,
 ) -> FloatArray:
     """Return the discrete Fréchet distances of many curves to one, the same bits as `discrete_frechet` gives.
 
@@ -457,16 +452,13 @@ def discrete_frechet_pairs(
         others: curves of m_k × d points each, m_k ≥ 1, finite; may be an empty list. Curves of one length may be one
             array, K × m × d, which is quicker to take in.
         bound: greatest distance of interest, 0 or more, in the unit of the points.
-        workers: number of threads. They live as long as the call, so that a process may fork before and after it.
 
     Returns:
         One value per curve in `others`: the distance, in the unit of the points, or infinity if it is above the bound.
 
     Raises:
-        ValueError: as `discrete_frechet`; the message says which curve. Or there is no worker.
+        ValueError: as `discrete_frechet`; the message says which curve.
     """
-    if workers < 1:
-        raise ValueError(f"at least one worker is needed, got {workers}")
     limit = _checked(bound)
     first = _points(reference, "reference")
     if not all_finite(first):
@@ -480,26 +472,8 @@ def discrete_frechet_pairs(
         raise ValueError(f"others[{bad}] has a coordinate that is not finite")
     offsets = np.zeros(lengths.size + 1, dtype=np.int64)
     np.cumsum(lengths, out=offsets[1:])
-    order = np.argsort(lengths, kind="stable")
-
-    def run(part: IntArray) -> None:
-        measure(first, flat, offsets, part, limit, _LANES, out)
-
-    parts = _parts(order, workers)
-    if len(parts) == 1:
-        run(order)
-    else:
-        with ThreadPoolExecutor(min(workers, len(parts))) as pool:
-            list(pool.map(run, reversed(parts)))  # the longest first; a list, so that errors come out
+    measure(first, flat, offsets, np.argsort(lengths, kind="stable"), limit, _LANES, out)
     return out
-
-
-def _parts(order: IntArray, workers: int) -> list[IntArray]:
-    """Cut the order into parts for the workers, each a multiple of the lanes but for the last."""
-    if workers == 1:
-        return [order]
-    size = -(-order.size // (workers * _PARTS_A_WORKER * _LANES)) * _LANES
-    return [order[start : start + size] for start in range(0, order.size, size)]
 
 
 def _joined(others: Sequence[npt.ArrayLike] | FloatArray, dimension: int) -> tuple[FloatArray, IntArray]:

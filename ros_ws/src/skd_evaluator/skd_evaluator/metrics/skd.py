@@ -158,8 +158,6 @@ def compute_skd(
     pairs_by_phi: Iterable[tuple[Trajectory, Sequence[Trajectory]]],
     *,
     maximum_distance: float | None = None,
-    limited: Sequence[FloatArray] | None = None,
-    measured: Sequence[tuple[FloatArray, FloatArray]] | None = None,
     confidence: float = 0.95,
 ) -> SkdResult:
     """Compute the SKD of safe trajectories φ and the kamikaze trajectories ψ that were generated for each.
@@ -167,27 +165,44 @@ def compute_skd(
     Args:
         pairs_by_phi: each φ with its ψ; a φ may have none.
         maximum_distance: pairs further apart than this are left out and counted, m; None keeps all.
-        limited: for each φ one value for each ψ, m, to which the maximum distance applies; by default the Fréchet
-            distance itself.
-        measured: for each φ the distances and the prefix distances, one value for each ψ, m, if they are known already.
         confidence: confidence of the intervals over φ; intervals over pairs have 95 %.
 
     Raises:
         UsageError: the trajectories of a pair differ in time step or in dimension, or the maximum distance is
             negative.
     """
+    measured = [(phi, frechet_distances(phi, psis), prefix_distances(phi, psis)) for phi, psis in pairs_by_phi]
+    return skd_of(
+        [kept_pairs(phi.name, far, prefix, far, maximum_distance) for phi, far, prefix in measured], confidence
+    )
+
+
+def kept_pairs(
+    name: str, distances: FloatArray, prefixes: FloatArray, limited: FloatArray, maximum_distance: float | None
+) -> SafeTrajectorySkd:
+    """Return what the pairs of one φ contribute.
+
+    Args:
+        name: name of φ.
+        distances: discrete Fréchet distance of each pair, m.
+        prefixes: the same with φ cut at the duration of ψ, m.
+        limited: for each pair the value to which the maximum distance applies, m.
+        maximum_distance: m, ≥ 0; None keeps all.
+
+    Raises:
+        UsageError: the maximum distance is negative.
+    """
     if maximum_distance is not None and not maximum_distance >= 0.0:
         raise UsageError(f"maximum distance must be 0 m or more, got {maximum_distance}")
-    entries = tuple(
-        _measure(
-            phi,
-            psis,
-            maximum_distance,
-            None if limited is None else limited[index],
-            None if measured is None else measured[index],
-        )
-        for index, (phi, psis) in enumerate(pairs_by_phi)
+    most = math.inf if maximum_distance is None else maximum_distance
+    kept = np.flatnonzero(~(limited > most))
+    return SafeTrajectorySkd(
+        name, _frozen(distances[kept]), _frozen(prefixes[kept]), kept, len(distances) - int(kept.size)
     )
+
+
+def skd_of(entries: Sequence[SafeTrajectorySkd], confidence: float = 0.95) -> SkdResult:
+    """Return the SKD over all φ; the confidence is that of the intervals over φ."""
     distances = _joined([entry.distances for entry in entries])
     prefixes = _joined([entry.prefix_distances for entry in entries])
     found = distances.size > 0
@@ -201,7 +216,7 @@ def compute_skd(
         variance=sample_variance(distances),
         pairs=int(distances.size),
         discarded_by_distance=sum(entry.discarded_by_distance for entry in entries),
-        per_safe_trajectory=entries,
+        per_safe_trajectory=tuple(entries),
     )
 
 
@@ -209,33 +224,15 @@ def _over_phi(groups: Sequence[FloatArray], prior: Prior, confidence: float) -> 
     return clustered_mean(groups, confidence, prior=prior, limits=(0.0, math.inf))
 
 
-def _measure(
-    phi: Trajectory,
-    psis: Sequence[Trajectory],
-    maximum_distance: float | None,
-    limited: FloatArray | None,
-    measured: tuple[FloatArray, FloatArray] | None,
-) -> SafeTrajectorySkd:
-    bound = math.inf if maximum_distance is None or limited is not None else maximum_distance
-    distances = _distances(phi, psis, bound) if measured is None else measured[0]
-    kept = np.arange(len(psis), dtype=np.int64)
-    if maximum_distance is not None:
-        kept = np.flatnonzero((distances if limited is None else limited) <= maximum_distance)
-    return SafeTrajectorySkd(
-        name=phi.name,
-        distances=_frozen(distances[kept]),
-        prefix_distances=_frozen(
-            prefix_distances(phi, [psis[index] for index in kept.tolist()]) if measured is None else measured[1][kept]
-        ),
-        kept=kept,
-        discarded_by_distance=len(psis) - int(kept.size),
-    )
+def frechet_distances(phi: Trajectory, psis: Sequence[Trajectory]) -> FloatArray:
+    """Return the discrete Fréchet distance of each ψ to φ, m.
 
-
-def _distances(phi: Trajectory, psis: Sequence[Trajectory], bound: float = math.inf) -> FloatArray:
+    Raises:
+        UsageError: the trajectories of a pair differ in time step or in dimension.
+    """
     for index, psi in enumerate(psis):
         _check_pair(phi, psi, index)
-    return discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis], bound=bound)
+    return discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis])
 
 
 def prefix_distances(phi: Trajectory, psis: Sequence[Trajectory]) -> FloatArray:
@@ -270,13 +267,13 @@ def _frozen(values: FloatArray) -> FloatArray:
     return values
 
 
-def _psis(pairs: Sequence[Pair]) -> list[Trajectory]:
-    return [pair.psi for pair in pairs]
+def _frechet_of(phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:
+    return frechet_distances(phi, [pair.psi for pair in pairs])
 
 
-FRECHET = Measure(
-    "discrete Fréchet distance", "m", lambda phi, pairs: _distances(phi, _psis(pairs)), shown=False, headline=True
-)
-PREFIX = Measure(
-    "prefix distance", "m", lambda phi, pairs: prefix_distances(phi, _psis(pairs)), shown=False, headline=True
-)
+def _prefix_of(phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:
+    return prefix_distances(phi, [pair.psi for pair in pairs])
+
+
+FRECHET = Measure("discrete Fréchet distance", "m", _frechet_of, shown=False, headline=True)
+PREFIX = Measure("prefix distance", "m", _prefix_of, shown=False, headline=True)

@@ -54,7 +54,7 @@ from skd_sim.world.contact import first_contact, first_contact_of_boxes, to_car_
 from skd_sim.world.state import CarState, RoadUserState
 
 from skd_evaluator.metrics.statistics import Interval
-from skd_evaluator.metrics.surrogate_scenes import Course, Scene, Scenes, scenes_of
+from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scenes_of
 
 GRID = 0.05
 """s between the moments of measures over time, and of their extremes."""
@@ -94,7 +94,7 @@ _AT_ONCE = 1000  # episodes: each takes ten kilobytes while it is measured
 
 
 def surrogate_measures(
-    scenario: Scenario, courses: Iterable[Course], collided: npt.NDArray[np.bool_]
+    scenario: Scenario, courses: Iterable[EpisodeMotion], collided: npt.NDArray[np.bool_]
 ) -> dict[str, FloatArray]:
     """Return every surrogate safety measure of episodes, by name, k each; nan: not defined, or it never came about.
 
@@ -112,7 +112,7 @@ def surrogate_measures(
 
 
 def _measures(
-    scenario: Scenario, whole: Scenes, grid: Scenes, collided: npt.NDArray[np.bool_]
+    scenario: Scenario, whole: Interactions, grid: Interactions, collided: npt.NDArray[np.bool_]
 ) -> dict[str, FloatArray]:
     """Return the measures of scenes, given as they are and on the grid."""
     braking = np.minimum(MOST, grid.most(required_decelerations(grid.whole)))
@@ -138,7 +138,7 @@ def _measures(
     return {name: np.where(np.isfinite(found[name]), found[name], math.nan) for name in SURROGATE_MEASURES}
 
 
-def episode_measures(scenario: Scenario, course: Course, phi: FloatArray, *, collided: bool) -> dict[str, Any]:
+def episode_measures(scenario: Scenario, course: EpisodeMotion, phi: FloatArray, *, collided: bool) -> dict[str, Any]:
     """Return the measures of an episode, as plain data: None for what is not defined, or never came about.
 
     Args:
@@ -180,7 +180,7 @@ _SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)  # golden section
 _STEPS = 60  # of it: to 1e-12 of a segment
 
 
-def clearances(scene: Scene) -> FloatArray:
+def clearances(scene: Interaction) -> FloatArray:
     """Return the distance between the outlines at each moment, n, m; 0 where they touch."""
     return _apart(scene, scene.seen, scene.turned_from_car)
 
@@ -194,7 +194,7 @@ def clearance_at(scenario: Scenario, car: CarState, other: RoadUserState) -> flo
         other: state of the adversary.
     """
     footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
-    scene = Scene(
+    scene = Interaction(
         np.zeros(1),
         np.array([car[:4]]),
         np.array([other[:2]]),
@@ -206,7 +206,7 @@ def clearance_at(scenario: Scenario, car: CarState, other: RoadUserState) -> flo
     return float(clearances(scene)[0])
 
 
-def least_clearances(scenes: Scenes) -> FloatArray:
+def least_clearances(scenes: Interactions) -> FloatArray:
     """Return the least distance between the outlines in each scene, k, m: between the given moments as well."""
     scene = scenes.whole
     apart = clearances(scene)
@@ -235,12 +235,12 @@ def least_clearances(scenes: Scenes) -> FloatArray:
     return least
 
 
-def least_clearance(scene: Scene) -> float:
+def least_clearance(scene: Interaction) -> float:
     """Return the least distance between the outlines, m, over the whole time: between the given moments as well."""
-    return float(least_clearances(Scenes.of(scene))[0])
+    return float(least_clearances(Interactions.of(scene))[0])
 
 
-def _apart(scene: Scene, seen: FloatArray, turned: FloatArray) -> FloatArray:
+def _apart(scene: Interaction, seen: FloatArray, turned: FloatArray) -> FloatArray:
     """Return the distance of the outlines with the other's centre at places of the car's frame (n × 2, m)."""
     front, rear, half_width = scene.footprint
     radius, half_length, other_half_width = scene.shape
@@ -266,7 +266,7 @@ def _outside(points: FloatArray, front: float, rear: float, half_width: float) -
     return np.asarray(np.hypot(beyond, np.maximum(0.0, np.abs(left) - half_width)))
 
 
-def _overlap(scene: Scene, seen: FloatArray, cos: FloatArray, sin: FloatArray) -> npt.NDArray[np.bool_]:
+def _overlap(scene: Interaction, seen: FloatArray, cos: FloatArray, sin: FloatArray) -> npt.NDArray[np.bool_]:
     """Return whether two rectangles overlap: no edge's direction separates them."""
     front, rear, half_width = scene.footprint
     _, other_length, other_width = scene.shape
@@ -285,14 +285,14 @@ HORIZON = 20.0
 """s beyond which nobody is foreseen to touch: at 100 km/h more than half a kilometre."""
 
 
-def collision_times(scene: Scene) -> FloatArray:
+def collision_times(scene: Interaction) -> FloatArray:
     """Return the time to collision at each moment, n, s; infinite where the two would pass each other."""
     drift = scene.moving - np.column_stack([scene.car[:, 3], np.zeros(len(scene))])
     after = scene.seen + HORIZON * drift
     return np.asarray(HORIZON * _shares(scene.seen, after, scene.turned_from_car, scene.footprint, scene.shape))
 
 
-def path_collision_times(scene: Scene, scenario: Scenario, phi: FloatArray) -> FloatArray:
+def path_collision_times(scene: Interaction, scenario: Scenario, phi: FloatArray) -> FloatArray:
     """Return the time to collision along predicted paths at each moment, n, s; infinite where they do not lead to one.
 
     The car goes on along its lane at the speed that it has; the other does what φ does from this moment on, from where
@@ -335,8 +335,8 @@ def _shares(
         before: n × 2, where the other's centre is in the beginning, m.
         after: n × 2, and in the end, m.
         turned: n, where its box points from the car's heading, rad.
-        footprint: of the car, as in `Scene`.
-        shape: of the other, as in `Scene`.
+        footprint: of the car, as in `Interaction`.
+        shape: of the other, as in `Interaction`.
     """
     found = np.empty(before.shape[0])
     front, rear, side = footprint
@@ -355,7 +355,7 @@ MOST = 9.81
 _TOUCHING = 1e-6  # m: whom the front touches is not beside it by rounding
 
 
-def required_decelerations(scene: Scene) -> FloatArray:
+def required_decelerations(scene: Interaction) -> FloatArray:
     """Return the required deceleration at each moment, n, m/s²; infinite at a contact of the front.
 
     It is 0 where the other is beside the car or behind its front: braking no longer decides whether they touch.
@@ -366,12 +366,12 @@ def required_decelerations(scene: Scene) -> FloatArray:
     return np.where(on_course, needed, 0.0)
 
 
-def greatest_required_deceleration(scene: Scene) -> float:
+def greatest_required_deceleration(scene: Interaction) -> float:
     """Return the greatest required deceleration over all moments, m/s², at most `MOST`."""
     return min(MOST, float(required_decelerations(scene).max(initial=0.0)))
 
 
-def brake_threat_numbers(scene: Scene, deceleration: float) -> FloatArray:
+def brake_threat_numbers(scene: Interaction, deceleration: float) -> FloatArray:
     """Return the brake threat number at each moment, n.
 
     Args:
@@ -386,7 +386,7 @@ def brake_threat_numbers(scene: Scene, deceleration: float) -> FloatArray:
     return np.asarray(required_decelerations(scene) / deceleration)
 
 
-def headways(scene: Scene) -> FloatArray:
+def headways(scene: Interaction) -> FloatArray:
     """Return the time headway at each moment, n, s; infinite where nobody is ahead in the car's strip, or it stands."""
     aside = np.abs(scene.seen[:, 1]) - scene.extent[:, 1]
     ahead = (scene.gap >= -_TOUCHING) & (aside < scene.footprint[2]) & (scene.car[:, 3] > 0.0)
@@ -398,25 +398,25 @@ _STRAIGHT = 1e-6
 """rad by which the car's heading may change: rounding."""
 
 
-def post_encroachment_time(scene: Scene) -> float:
+def post_encroachment_time(scene: Interaction) -> float:
     """Return the post-encroachment time, s: 0 where both were there at a time, nan where one of them never was.
 
     Raises:
         ValueError: the car turned, so that there is no strip with two straight edges.
     """
-    found, turned = _of_scenes(Scenes.of(scene))
+    found, turned = _of_scenes(Interactions.of(scene))
     if turned[0]:
         raise ValueError("the post-encroachment time is defined here on a straight way of the car")
     return float(found[0])
 
 
-def post_encroachment_times(scenes: Scenes) -> FloatArray:
+def post_encroachment_times(scenes: Interactions) -> FloatArray:
     """Return the post-encroachment time in each scene, k, s; nan where the car turned, too."""
     found, turned = _of_scenes(scenes)
     return np.where(turned, math.nan, found)
 
 
-def _of_scenes(scenes: Scenes) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _of_scenes(scenes: Interactions) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Return the post-encroachment time in each scene, k, s, and whether the car turned in it."""
     scene = scenes.whole
     begins = scenes.starts[np.searchsorted(scenes.starts, np.arange(len(scene)), side="right") - 1]
@@ -535,7 +535,7 @@ class Risk:
     interval: Interval
 
 
-def closing_speeds(scene: Scene) -> FloatArray:
+def closing_speeds(scene: Interaction) -> FloatArray:
     """Return the amount of the relative velocity at each moment, n, m/s; at a contact it is the closing speed."""
     heading, speed = scene.car[:, 2], scene.car[:, 3]
     own = np.column_stack([speed * np.cos(heading), speed * np.sin(heading)])

@@ -3,7 +3,7 @@
 Between two moments both move uniformly, as in the contact test (`skd_sim.world.contact`); seen from the car the
 other's centre then runs along a straight segment.
 
-Scenes one after another, as one: what is computed moment by moment is then computed of all of them at once.
+Interactions one after another, as one: what is computed moment by moment is then computed of all of them at once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from skd_evaluator.metrics.contact_place import car_until_contact
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Interaction:
     """Two road users over time, in any frame in which the ground does not move.
 
     Attributes:
@@ -88,7 +88,7 @@ class Scene:
         return np.column_stack([cos * x + sin * y, cos * y - sin * x])
 
 
-class Course(NamedTuple):
+class EpisodeMotion(NamedTuple):
     """How an episode went.
 
     Attributes:
@@ -104,7 +104,7 @@ class Course(NamedTuple):
 
 def course_of(
     scenario: Scenario, adversary: FloatArray, car: FloatArray, contact: tuple[float, float] | None
-) -> Course:
+) -> EpisodeMotion:
     """Return the course of an episode whose states are at ticks.
 
     Args:
@@ -116,29 +116,29 @@ def course_of(
     time_step = scenario.time_step
     times = np.arange(len(adversary), dtype=np.float64) * time_step
     if contact is None:
-        return Course(times, adversary, car)
+        return EpisodeMotion(times, adversary, car)
     time, impact = contact
     if time <= times[-2]:  # at the tick itself
-        return Course(times[:-1], adversary[:-1], car[:-1])
+        return EpisodeMotion(times[:-1], adversary[:-1], car[:-1])
     times[-1], ticks = time, time / time_step
     walked = until_contact(adversary, ticks)
-    return Course(times, walked, car_until_contact(scenario, car, ticks, impact, walked[-1]))
+    return EpisodeMotion(times, walked, car_until_contact(scenario, car, ticks, impact, walked[-1]))
 
 
 @dataclass(frozen=True, eq=False)
-class Scenes:
-    """Scenes with one footprint and one shape.
+class Interactions:
+    """Interactions with one footprint and one shape.
 
     Attributes:
         whole: all moments, scene by scene; times begin anew in each.
         starts: where in it each scene begins, and at last its length, k + 1.
     """
 
-    whole: Scene
+    whole: Interaction
     starts: IntArray
 
     @classmethod
-    def of(cls, scene: Scene) -> Scenes:
+    def of(cls, scene: Interaction) -> Interactions:
         """Return one scene as scenes."""
         return cls(scene, np.array([0, len(scene)]))
 
@@ -159,7 +159,7 @@ class Scenes:
         """Return the value at the last moment of each scene, k."""
         return values[self.starts[1:] - 1]
 
-    def every(self, step: float) -> Scenes:
+    def every(self, step: float) -> Interactions:
         """Return the same on a grid of moments `step` (s) apart, and at the last moment of each.
 
         Measures that are greatest or least over time then mean the same for sources of any rate. Velocities are kept
@@ -183,11 +183,11 @@ class Scenes:
         x, y, heading, speed = whole.car.T
         car = np.column_stack([at(x), at(y), at(heading, turns=True), at(speed)])
         other = np.column_stack([at(column) for column in whole.other.T])
-        finer = Scene(times, car, other, whole.velocity[held], whole.turned[held], whole.footprint, whole.shape)
-        return Scenes(finer, starts)
+        finer = Interaction(times, car, other, whole.velocity[held], whole.turned[held], whole.footprint, whole.shape)
+        return Interactions(finer, starts)
 
 
-def scene_of(scenario: Scenario, times: FloatArray, adversary: FloatArray, car: FloatArray) -> Scene:
+def scene_of(scenario: Scenario, times: FloatArray, adversary: FloatArray, car: FloatArray) -> Interaction:
     """Return the scene of an episode: the car keeps to its lane, and the adversary moves uniformly in each tick.
 
     Args:
@@ -196,10 +196,10 @@ def scene_of(scenario: Scenario, times: FloatArray, adversary: FloatArray, car: 
         adversary: n × 2 positions then, m.
         car: n × 3: reference point (x, y), m, and speed, m/s.
     """
-    return scenes_of(scenario, [Course(times, adversary, car)]).whole
+    return scenes_of(scenario, [EpisodeMotion(times, adversary, car)]).whole
 
 
-def scenes_of(scenario: Scenario, courses: Sequence[Course]) -> Scenes:
+def scenes_of(scenario: Scenario, courses: Sequence[EpisodeMotion]) -> Interactions:
     """Return the scenes of episodes, at least one, in a scenario; see `scene_of`."""
     line, body = scenario.road.line, scenario.adversary
     starts = np.cumsum([0, *(len(one.times) for one in courses)])
@@ -214,7 +214,7 @@ def scenes_of(scenario: Scenario, courses: Sequence[Course]) -> Scenes:
                 heading = turned[tick] = body.heading(heading, vx, vy)
     footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
     states = np.column_stack([car[:, :2], _headings(line, along), car[:, 2]])
-    return Scenes(Scene(times, states, places, velocity, turned, footprint, body.shape), starts)
+    return Interactions(Interaction(times, states, places, velocity, turned, footprint, body.shape), starts)
 
 
 def velocities(times: FloatArray, places: FloatArray, starts: IntArray) -> FloatArray:

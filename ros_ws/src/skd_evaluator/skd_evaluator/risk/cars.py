@@ -190,7 +190,7 @@ def ended(
     return side, 0.0 if side == 1 else max(least, 1e-9)
 
 
-class Course(NamedTuple):
+class CrossingNumbers(NamedTuple):
     """The scenario in numbers; lengths in m, speeds in m/s, times in s."""
 
     line: FloatArray  # of the road
@@ -209,11 +209,11 @@ class Course(NamedTuple):
     hit_speed: float
 
 
-def course_of(episode: Episode) -> Course:
+def crossing_numbers(episode: Episode) -> CrossingNumbers:
     """Return a scenario in numbers."""
     scenario = episode.scenario
     car = scenario.car
-    return Course(
+    return CrossingNumbers(
         scenario.road.line,
         car.front,
         car.rear,
@@ -233,7 +233,7 @@ def course_of(episode: Episode) -> Course:
 
 @kernel
 def cross(
-    course: Course, way: FloatArray, count: int, gap: float, draws: FloatArray, path: FloatArray
+    course: CrossingNumbers, way: FloatArray, count: int, gap: float, draws: FloatArray, path: FloatArray
 ) -> tuple[int, float, int]:
     """Let the car meet somebody who walks a way.
 
@@ -284,7 +284,7 @@ def cross(
 
 @kernel
 def cross_many(
-    course: Course,
+    course: CrossingNumbers,
     paths: FloatArray,
     lengths: IntArray,
     gaps: FloatArray,
@@ -319,7 +319,7 @@ class KnownCar:
         episodes = [
             crossing_plan.plan.episode(Mode.KAMIKAZE, index, 0, phi) for index, phi in enumerate(crossing_plan.safe)
         ]
-        self._course = course_of(episodes[0])
+        self._course = crossing_numbers(episodes[0])
         self._values = crossing_plan.values
         self._lengths = np.array([len(phi) for phi in crossing_plan.safe], np.int64)
         self._paths = np.zeros((len(crossing_plan.safe), int(self._lengths.max()), 2))
@@ -350,7 +350,7 @@ BLOCK: Final = 250
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _Block:
     """Some crossings, in whatever process."""
 
     crossing_plan: CrossingPlan
@@ -382,7 +382,7 @@ class BatchedCar:
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings; those of a block that a worker has died of, one by one."""
         rows = [np.arange(at, min(at + BLOCK, len(crossings))) for at in range(0, len(crossings), BLOCK)]
-        jobs = [_Job(self._crossing_plan, crossings.of(one), scale) for one in rows]
+        jobs = [_Block(self._crossing_plan, crossings.of(one), scale) for one in rows]
         parts = []
         for job, found in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
             parts.append(
@@ -391,17 +391,17 @@ class BatchedCar:
         return Ends.together(parts)
 
 
-def _not_crossed(_job: _Job, _reason: str) -> Ends | None:
+def _not_crossed(_job: _Block, _reason: str) -> Ends | None:
     return None
 
 
-def _crossed(job: _Job) -> Ends | None:
+def _crossed(job: _Block) -> Ends | None:
     try:
         return isolated(job.crossing_plan.plan.car.user_code, _crossed_here, job)
     except LostProcessError as error:
         return _not_crossed(job, error.reason)
 
 
-def _crossed_here(job: _Job) -> Ends:
+def _crossed_here(job: _Block) -> Ends:
     """Run crossings side by side."""
     return ends_of(replayed(AnyCar(job.crossing_plan, None).episodes(job.crossings, job.scale)))

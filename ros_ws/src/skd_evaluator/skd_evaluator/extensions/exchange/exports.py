@@ -18,7 +18,7 @@ from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
 from skd_evaluator.extensions.exchange.osi import osi_messages, osi_name, osi_writer, write_osi
 from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpisode, actors_of, start_of
 from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
-from skd_evaluator.metrics.surrogate_scenes import Course, course_of
+from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
 from skd_evaluator.report.html.subjects import Subject
 
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
@@ -176,7 +176,7 @@ def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, w
 def _phi(subject: Subject, index: int) -> Export:
     """Return a φ: the adversary and the others, and where the car begins."""
     phi, step = subject.episodes.safe[index], subject.episodes.time_step
-    course = Course(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 3), np.nan))
+    course = EpisodeMotion(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 3), np.nan))
     name = _name(subject, index)
     title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {subject.scenario.name}, {subject.label}")
     recorded = ExportedEpisode(

@@ -14,7 +14,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.metrics.surrogate_scenes import Course, scene_of, velocities
+from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, scene_of, velocities
 
 EGO, ADVERSARY = "Ego", "Adversary"
 OTHER, OBSTACLE = "Other_{}", "Obstacle_{}"
@@ -104,7 +104,7 @@ class ExportedEpisode:
         return next((one for one in self.actors if one.name == EGO), None)
 
 
-def actors_of(scenario: Scenario, course: Course, *, with_car: bool) -> tuple[Actor, ...]:
+def actors_of(scenario: Scenario, course: EpisodeMotion, *, with_car: bool) -> tuple[Actor, ...]:
     """Return everybody in an episode.
 
     Args:

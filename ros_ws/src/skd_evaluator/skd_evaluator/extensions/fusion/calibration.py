@@ -37,7 +37,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS
 from skd_evaluator.metrics.clustered import student_quantile
 from skd_evaluator.metrics.statistics import Interval
-from skd_evaluator.metrics.surrogate_scenes import Scene
+from skd_evaluator.metrics.surrogate_scenes import Interaction
 
 TYRES = "multi_body"
 """Dynamics that take the place of those without a brake and tyres."""
@@ -204,7 +204,7 @@ class ShownRecording:
         return self._inner.clipped
 
 
-def recorded(scenario: Scenario, scene: Scene, phi: str, where: str) -> Recorded:
+def recorded(scenario: Scenario, scene: Interaction, phi: str, where: str) -> Recorded:
     """Return a trial at the simulator's times, until the end of its φ or the contact.
 
     Raises:

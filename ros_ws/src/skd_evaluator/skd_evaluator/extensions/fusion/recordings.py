@@ -22,7 +22,7 @@ from skd_evaluator.bags.read import ADVERSARY, CAR
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER, RecordingFrame, Track, bag_tracks, table_tracks
 from skd_evaluator.extensions.fusion.trials import GAP_TOLERANCE, PhysicalTrial, figures_of, gap_to_crossing
 from skd_evaluator.metrics.surrogate_measures import clearances
-from skd_evaluator.metrics.surrogate_scenes import Scene
+from skd_evaluator.metrics.surrogate_scenes import Interaction
 
 PATH_TOLERANCE = 0.5
 """m that the tracked road user may be off φ at any moment: beyond, it was not a trial on that φ."""
@@ -218,7 +218,7 @@ class TrialRecorder:
             track=track_of(scene),
         )
 
-    def laid(self, path: Path, trial: PhysicalTrial, depth: float = 0.0) -> Scene:
+    def laid(self, path: Path, trial: PhysicalTrial, depth: float = 0.0) -> Interaction:
         """Return the recording of a trial from the beginning of its φ to its end, or to the contact.
 
         Args:
@@ -273,7 +273,7 @@ class TrialRecorder:
         best = min(np.arange(first, last + _SHIFTS, _SHIFTS).tolist(), key=off)
         return float(min(np.clip(best + np.linspace(-_SHIFTS, _SHIFTS, 81), first, None).tolist(), key=off))
 
-    def _scene(self, car: Track, other: Track, begin: float, duration: float) -> Scene:
+    def _scene(self, car: Track, other: Track, begin: float, duration: float) -> Interaction:
         end = min(begin + duration, other.times[-1])
         times = np.append(np.arange(begin, end - 1e-9, _STEP), end)
         headings = _headings_at(car, times)
@@ -283,9 +283,9 @@ class TrialRecorder:
         states = np.column_stack([places, headings, _speeds_at(car, times)])
         footprint = self.scenario.car.front, self.scenario.car.rear, self.scenario.car.half_width
         velocity = _velocity_at(other, times, _OVER)
-        return Scene(times - begin, states, _places_at(other, times), velocity, turned, footprint, body.shape)
+        return Interaction(times - begin, states, _places_at(other, times), velocity, turned, footprint, body.shape)
 
-    def _check_follows(self, scene: Scene, phi: FloatArray, path: Path) -> None:
+    def _check_follows(self, scene: Interaction, phi: FloatArray, path: Path) -> None:
         ticks = self.scenario.time_step * np.arange(len(phi))
         due = np.column_stack([np.interp(scene.times, ticks, column) for column in phi.T])
         off = np.hypot(*(scene.other - due).T)
@@ -296,7 +296,7 @@ class TrialRecorder:
                 f"{self.tolerance:g} m: is it the φ of this trial, and does --frame say where map lies?"
             )
 
-    def _check_whole(self, scene: Scene, phi: FloatArray, path: Path) -> None:
+    def _check_whole(self, scene: Interaction, phi: FloatArray, path: Path) -> None:
         """Refuse a recording that ends while the two still come nearer: how near they came is not known."""
         missing = self.scenario.time_step * (len(phi) - 1) - float(scene.times[-1])
         distances = clearances(scene)
@@ -307,7 +307,7 @@ class TrialRecorder:
                 "road user until the car has passed or stands, or to the contact (hit = 1 in the table)"
             )
 
-    def _check_road(self, scene: Scene, path: Path) -> None:
+    def _check_road(self, scene: Interaction, path: Path) -> None:
         """Refuse a car that is beside its lane, across it, or goes elsewhere than it points."""
         line = self.scenario.road.line
         places = right_and_along(line, np.ascontiguousarray(scene.car[:, :2]))
@@ -331,7 +331,7 @@ class TrialRecorder:
             )
 
 
-def track_of(scene: Scene) -> FloatArray:
+def track_of(scene: Interaction) -> FloatArray:
     """Return where car and road user were at each moment of a trial, n × 4, m."""
     return np.column_stack([scene.car[:, :2], scene.other])
 
@@ -349,7 +349,7 @@ def overruled(trials: Sequence[PhysicalTrial]) -> list[str]:
     ]
 
 
-def _first_contact(scene: Scene, depth: float) -> int | None:
+def _first_contact(scene: Interaction, depth: float) -> int | None:
     """Return the first moment at which the outlines are so far inside each other (m); None without any."""
     front, rear, half_width = scene.footprint
     shrunk = replace(scene, footprint=(front - depth, rear - depth, max(0.0, half_width - depth)))

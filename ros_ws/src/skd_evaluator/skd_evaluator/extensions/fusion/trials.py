@@ -22,7 +22,7 @@ from skd_evaluator.assessment.files.results import read_both
 from skd_evaluator.bags.tracks import csv_rows, header_of
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.metrics.surrogate_measures import GRID, MOST, greatest_required_deceleration, least_clearance
-from skd_evaluator.metrics.surrogate_scenes import Scene, Scenes, course_of, scene_of
+from skd_evaluator.metrics.surrogate_scenes import Interaction, Interactions, course_of, scene_of
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,11 @@ class PhysicalTrial:
     track: FloatArray | None = field(default=None, repr=False, compare=False)
 
 
-def figures_of(scene: Scene, *, hit: bool) -> dict[str, float]:
+def figures_of(scene: Interaction, *, hit: bool) -> dict[str, float]:
     """Return the figures of a trial by what happened in it."""
     return {
         "clearance": least_clearance(scene),
-        "required_deceleration": greatest_required_deceleration(Scenes.of(scene).every(GRID).whole),
+        "required_deceleration": greatest_required_deceleration(Interactions.of(scene).every(GRID).whole),
         "hit": float(hit),
     }
 

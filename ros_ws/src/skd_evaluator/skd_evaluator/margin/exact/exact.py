@@ -24,16 +24,16 @@ from skd_sim.world.episode import Episode, controller_generator, controller_seed
 from skd_sim.world.state import Trajectory
 from skd_sim.world.world import Contact, make_world
 
-from skd_evaluator.margin.actions import FIRST_HALF, MOVE_COUNT, move_velocity, require_exact
+from skd_evaluator.margin.actions import MOVE_COUNT, move_velocity, require_exact
 from skd_evaluator.margin.exact.reachability import (
     SURE,
-    Course,
+    ExactProblem,
     Reachability,
     fill_moves,
     foresee,
     is_hopeful,
     look_back,
-    make_course,
+    make_problem,
     make_reachability,
     place_of_phi,
     where_of,
@@ -46,7 +46,7 @@ TOLERANCE = 1e-9
 """m, between a search and the trajectory that the world gives for its moves."""
 
 
-def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_speed: bool = True) -> Hit | None:
+def exact_margin(episode: Episode, upper_bound: float | None = None) -> Hit | None:
     """Return the hit of least deviation, under an episode's draws.
 
     A hit is a contact at `collision.hit_speed` or more of the car's own speed. A slower one that the world counts ends
@@ -55,7 +55,6 @@ def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_spe
     Args:
         episode: kamikaze mode, basic controller, basic car, pedestrian; its objective does not matter.
         upper_bound: only moves of at most this deviation (m) are looked for; the scenario's `eta_max` by default.
-        half_speed: whether directions at half speed are among the moves; without, it is no margin, for comparison.
 
     Returns:
         The hit; None where there is none within the bound and the horizon, or, where there was no room for all, none
@@ -66,7 +65,7 @@ def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_spe
         UsageError: the search would need too much memory.
     """
     require_exact(episode)
-    course = make_course(episode, MOVE_COUNT if half_speed else FIRST_HALF)
+    course = make_problem(episode)
     ticks = episode.scenario.ticks
     upper = (episode.scenario.eta_max if upper_bound is None else upper_bound) * (1.0 + TOLERANCE) + TOLERANCE
     moves = np.empty(ticks, np.int64)
@@ -203,7 +202,7 @@ def _visit(
 
 
 @kernel
-def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
+def search_within(c: ExactProblem, f: Reachability, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
     """Search for the hit of least deviation below a limit for which the reachability bound was made.
 
     Args:
@@ -235,7 +234,7 @@ def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: floa
         x_phi, y_phi = place_of_phi(c, tick)
         x_phi_to, y_phi_to = place_of_phi(c, tick + 1)
         distinct = 0
-        for move in range(c.moves):
+        for move in range(MOVE_COUNT):
             vx, vy = move_velocity(move, c.path, tick, c.time_step, c.adversary_speed)
             known = False
             for k in range(distinct):
@@ -301,7 +300,7 @@ def _fine(limit: float) -> float:
 
 
 @kernel
-def _least_possible(c: Course, f: Reachability, low: float, high: float, share: float) -> float:
+def _least_possible(c: ExactProblem, f: Reachability, low: float, high: float, share: float) -> float:
     """Return a limit near the greatest within which nothing can be reached; `low` is one, `high` is none."""
     while high - low > share * high + _NEAR_ENOUGH:
         middle = 0.5 * (low + high)
@@ -313,7 +312,9 @@ def _least_possible(c: Course, f: Reachability, low: float, high: float, share: 
 
 
 @kernel
-def _search(c: Course, f: Reachability, q: Nodes, limit: float, cell: float, moves: IntArray) -> tuple[int, float, int]:
+def _search(
+    c: ExactProblem, f: Reachability, q: Nodes, limit: float, cell: float, moves: IntArray
+) -> tuple[int, float, int]:
     """Bound what a limit lets reach, and search within it; return what `search_least` does, but for the gap."""
     fine = _fine(limit)
     possible = foresee(c, f, limit, fine, False)
@@ -336,7 +337,7 @@ def _search(c: Course, f: Reachability, q: Nodes, limit: float, cell: float, mov
 
 @kernel(nogil=True)
 def search_least(
-    c: Course, f: Reachability, q: Nodes, upper: float, loose: bool, moves: IntArray
+    c: ExactProblem, f: Reachability, q: Nodes, upper: float, loose: bool, moves: IntArray
 ) -> tuple[int, float, float, int]:
     """Search for the hit of least deviation.
 

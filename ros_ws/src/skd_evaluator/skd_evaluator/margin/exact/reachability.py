@@ -73,20 +73,20 @@ def make_reachability(histories: int, ticks: int) -> Reachability:
 
 
 @kernel
-def fill_moves(c: Course, f: Reachability) -> None:
+def fill_moves(c: ExactProblem, f: Reachability) -> None:
     """Fill in the hulls of displacements."""
     points, out = np.empty((MOVE_COUNT, 2)), np.empty((MOST, 2))
     for tick in range(c.noise.shape[0]):
-        for move in range(c.moves):
+        for move in range(MOVE_COUNT):
             vx, vy = move_velocity(move, c.path, tick, c.time_step, c.adversary_speed)
             points[move, 0], points[move, 1] = c.time_step * vx, c.time_step * vy
-        count = hull(points, c.moves, out)
+        count = hull(points, MOVE_COUNT, out)
         f.move_count[tick] = count
         f.moves[tick, :count] = out[:count]
 
 
 @kernel
-def _grown_car(c: Course, x: float, y: float, out: FloatArray) -> int:
+def _grown_car(c: ExactProblem, x: float, y: float, out: FloatArray) -> int:
     """Write a polygon around all places of a disc's centre at which it touches the car."""
     n = 0
     steps = 3
@@ -107,7 +107,7 @@ def _grown_car(c: Course, x: float, y: float, out: FloatArray) -> int:
 
 @kernel
 def in_zone(
-    c: Course, where: int, front: float, points: FloatArray, count: int, out: FloatArray, other: FloatArray
+    c: ExactProblem, where: int, front: float, points: FloatArray, count: int, out: FloatArray, other: FloatArray
 ) -> int:
     """Write the part of a set that is behind the front, in the strip or ahead; return the number of its points."""
     if where == BEHIND:
@@ -120,7 +120,7 @@ def in_zone(
 
 @kernel
 def contact_set(
-    c: Course,
+    c: ExactProblem,
     f: Reachability,
     tick: int,
     before: FloatArray,
@@ -227,7 +227,7 @@ def _box_of(points: FloatArray, count: int, box: FloatArray) -> None:
 
 
 @kernel
-def foresee(c: Course, f: Reachability, limit: float, fine: float, only_whether: bool) -> int:
+def foresee(c: ExactProblem, f: Reachability, limit: float, fine: float, only_whether: bool) -> int:
     """Make all histories within a limit, and the sets that go with them.
 
     Args:
@@ -310,7 +310,7 @@ def foresee(c: Course, f: Reachability, limit: float, fine: float, only_whether:
 
 
 @kernel
-def look_back(c: Course, f: Reachability, limit: float, fine: float) -> int:
+def look_back(c: ExactProblem, f: Reachability, limit: float, fine: float) -> int:
     """Fill in, after `foresee` with the same limit, from where there can be a hit.
 
     Returns:
@@ -385,7 +385,7 @@ def look_back(c: Course, f: Reachability, limit: float, fine: float) -> int:
 
 
 @kernel(inline=True)
-def where_of(c: Course, f: Reachability, state: int, x: float, y: float) -> int:
+def where_of(c: ExactProblem, f: Reachability, state: int, x: float, y: float) -> int:
     """Return where an adversary at (x, y), m, is for the car; beside a standing one it is all the same."""
     if f.car[state, 2] == 0.0:
         return BRAKED
@@ -413,7 +413,7 @@ SURE = 1.0 + 1e-9
 MARGIN = 1e-9  # m, the same for lengths that may be 0
 
 
-class Course(NamedTuple):
+class ExactProblem(NamedTuple):
     """One episode; lengths in m, speeds in m/s, times in s."""
 
     path: FloatArray  # φ, n × 2
@@ -436,10 +436,9 @@ class Course(NamedTuple):
     path_edge: float
     minimum_impact_speed: float
     hit_speed: float
-    moves: int  # how many of the moves of `margin.actions` are searched: the first ones
 
 
-def make_course(episode: Episode, moves: int = MOVE_COUNT) -> Course:
+def make_problem(episode: Episode) -> ExactProblem:
     """Return a kamikaze episode in numbers, the car's noise of every tick included."""
     scenario, world = episode.scenario, make_world(episode)
     car, adversary, ticks = scenario.car, scenario.adversary, scenario.ticks
@@ -451,7 +450,7 @@ def make_course(episode: Episode, moves: int = MOVE_COUNT) -> Course:
     for tick in range(ticks - 1, -1, -1):
         slowest[tick] = min(1.0, (1.0 + noise[tick, 0]) * slowest[tick + 1])
         fastest[tick] = max(1.0, (1.0 + noise[tick, 0]) * fastest[tick + 1])
-    return Course(
+    return ExactProblem(
         path=np.array(episode.safe_trajectory.positions, order="C"),
         noise=noise,
         slowest=slowest,
@@ -472,12 +471,11 @@ def make_course(episode: Episode, moves: int = MOVE_COUNT) -> Course:
         path_edge=scenario.path_edge,
         minimum_impact_speed=scenario.collision.minimum_impact_speed,
         hit_speed=max(scenario.collision.hit_speed, scenario.collision.minimum_impact_speed),
-        moves=moves,
     )
 
 
 @kernel
-def car_step(c: Course, y: float, speed: float, braking: bool, tick: int) -> tuple[float, float]:
+def car_step(c: ExactProblem, y: float, speed: float, braking: bool, tick: int) -> tuple[float, float]:
     """Return how far the car comes in a tick (m) and its speed after it (m/s)."""
     acceleration = -c.deceleration if braking else 0.0
     applied = acceleration + c.noise[tick, 1] * acceleration
@@ -486,7 +484,7 @@ def car_step(c: Course, y: float, speed: float, braking: bool, tick: int) -> tup
 
 
 @kernel(inline=True)
-def place_of_phi(c: Course, tick: int) -> tuple[float, float]:
+def place_of_phi(c: ExactProblem, tick: int) -> tuple[float, float]:
     """Return where φ is after `tick` ticks, m."""
     row = min(tick, c.path.shape[0] - 1)
     return c.path[row, 0], c.path[row, 1]

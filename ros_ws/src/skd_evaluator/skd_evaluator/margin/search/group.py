@@ -17,7 +17,7 @@ import numpy as np
 from skd_sim.arrays import IntArray
 from skd_sim.world.episode import Episode, EpisodeLog
 
-from skd_evaluator.margin.search.planner import Planner
+from skd_evaluator.margin.search.planner import TrialPlanner
 from skd_evaluator.margin.search.surrogate import Surrogate
 from skd_evaluator.margin.search.trial import ActionSpace, Candidate, Trial, changed, excursion
 
@@ -83,7 +83,7 @@ class Group:
         self.spent = 0
         self.reasons: list[str] = []
         self.brought = {source: Brought() for source in SOURCES}
-        self._planners = [Planner(trial, self.surrogate) for trial in self.trials] if space.is_pedestrian else []
+        self._planners = [TrialPlanner(trial, self.surrogate) for trial in self.trials] if space.is_pedestrian else []
         self._plan_cost = 0.0 if free_plans else 1.0
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((first.seed, first.episode_id))))
         self._gain = dict.fromkeys(SOURCES, _PRIOR)

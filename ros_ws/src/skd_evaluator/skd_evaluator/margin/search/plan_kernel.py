@@ -74,7 +74,7 @@ class PlanProblem(NamedTuple):
     core: float
 
 
-class View(NamedTuple):
+class SurrogateQuery(NamedTuple):
     """How the surrogate is asked.
 
     Attributes:
@@ -141,7 +141,7 @@ _SPURT = 2.0  # m/s, by which a car may get faster in a tick
 
 
 @kernel
-def _foreseen(view: View, situation: FloatArray) -> float:
+def _foreseen(view: SurrogateQuery, situation: FloatArray) -> float:
     row, away = nearest_sample(view.samples, view.known, view.weights, situation)
     if row < 0:
         return 0.0
@@ -165,7 +165,14 @@ def _last_tick(problem: PlanProblem, bound: float) -> int:
 
 @kernel
 def _still(
-    problem: PlanProblem, view: View, tick: int, ticks: int, right: float, at: float, along: float, speed: float
+    problem: PlanProblem,
+    view: SurrogateQuery,
+    tick: int,
+    ticks: int,
+    right: float,
+    at: float,
+    along: float,
+    speed: float,
 ) -> float:
     """Return how far from φ, at least, the car can be met, wherever between full brake and none it is; or infinity.
 
@@ -299,7 +306,7 @@ def _known(room: Room, key: np.uint64, deviation: float) -> bool:
 @kernel
 def plan(
     problem: PlanProblem,
-    view: View,
+    view: SurrogateQuery,
     moments: FloatArray,
     ticks: IntArray,
     tried: IntArray,

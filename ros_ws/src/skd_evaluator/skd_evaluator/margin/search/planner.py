@@ -22,7 +22,7 @@ from skd_evaluator.margin.search.plan_kernel import (
     VARIED,
     PlanProblem,
     Room,
-    View,
+    SurrogateQuery,
     make_room,
 )
 from skd_evaluator.margin.search.surrogate import RADIUS, SITUATION, WEIGHTS, Surrogate
@@ -45,7 +45,7 @@ def _room(size: int) -> Room:
     return make_room(size)
 
 
-class Planner:
+class TrialPlanner:
     """Plans for one trial, from the moments that its candidates went through."""
 
     def __init__(self, trial: Trial, surrogate: Surrogate) -> None:
@@ -183,7 +183,7 @@ class Planner:
             self._prefixes = [self._prefixes[i] for i in keep]
             self._index = {one.tobytes(): i for i, one in enumerate(self._prefixes)}
 
-    def _view(self, rng: np.random.Generator) -> View:
+    def _view(self, rng: np.random.Generator) -> SurrogateQuery:
         weights, radius, unknown = np.array(WEIGHTS), self._radius, 0.0
         surrogate = self._surrogate
         if self._mode == VARIED:
@@ -195,7 +195,9 @@ class Planner:
                 unknown = float(surrogate.rows[int(rng.integers(surrogate.count)), -1])
         hardest, strongest = surrogate.range()
         cruise = self._scenario.car.start_speed
-        return View(surrogate.rows, surrogate.count, weights, self._mode, radius, unknown, hardest, strongest, cruise)
+        return SurrogateQuery(
+            surrogate.rows, surrogate.count, weights, self._mode, radius, unknown, hardest, strongest, cruise
+        )
 
 
 def _problems(space: ActionSpace, noise: FloatArray, within: bool) -> tuple[PlanProblem, PlanProblem]:
