@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
 from skd_evaluator.metrics.frechet import discrete_frechet
-from skd_evaluator.metrics.skd import bound_interval, compute_skd
+from skd_evaluator.metrics.skd import bound_interval, compute_skd, kept_pairs
 from skd_evaluator.metrics.statistics import frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
 from skd_sim.world.state import Trajectory
@@ -183,7 +183,7 @@ def test_other_dimension_is_refused():
 @pytest.mark.parametrize("maximum", [-1.0, math.nan])
 def test_impossible_maximum_distance_is_refused(maximum):
     with pytest.raises(UsageError, match="maximum distance"):
-        compute_skd([], maximum_distance=maximum)
+        compute_skd([(crossing(5), [])], maximum_distance=maximum)
 
 
 def test_trajectories_in_space_are_measured_too():
