@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -210,15 +209,6 @@ def test_two_campaigns_and_the_choice_between_them(
         assert_same_results(out, live.graph)
 
 
-def test_a_maximum_distance_chosen_afterwards(
-    campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    finished = skd_here(capsys, "replay", campaign.bags, "--maximum-distance", 3.0, "--out", tmp_path / "x", "--json")
-    result = json.loads(finished.out)
-    live = json.loads((campaign.graph / "assessment.json").read_text())
-    assert result["pairs"] + result["discarded_by_distance"] == live["pairs"]
-
-
 # --- what cannot be replayed
 
 
@@ -295,12 +285,3 @@ def test_without_one_result(campaign: Campaign, tmp_path: Path, capsys: pytest.C
     ids = np.load(tmp_path / "replayed" / "episodes.npz")["episode_id"]
     assert episode not in ids
     assert len(ids) == len(np.load(campaign.graph / "episodes.npz")["episode_id"]) - 1
-
-
-@pytest.mark.parametrize("topic", ["/ego/odometry", "/adversary/odometry"])
-def test_without_states(refused: Callable[..., str], campaign: Campaign, tmp_path: Path, topic: str) -> None:
-    file = tmp_path / "x.mcap"
-    write_items(file, without(read_items(files_of(campaign)), topic))
-    line = refused(file)
-    assert "states of episode" in line
-    assert "recorded" in line

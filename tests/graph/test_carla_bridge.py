@@ -44,7 +44,7 @@ from skd_sim.ros.to_messages import acceleration_command, episode_to_message, to
 from skd_sim.ros_environment.installation import MessagePackage, build_messages, find_compiler
 from skd_sim.ros_environment.variables import is_sourced
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.carla import Placement, objects
+from skd_sim.simulators.carla import Placement
 from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
@@ -264,15 +264,6 @@ def test_an_episode_ends_as_in_the_world(messages: Any, gap: float) -> None:
     assert stand_in.pedals_seen == {(0.0, 0.0)}
 
 
-def test_the_command_reaches_the_brake(messages: Any) -> None:
-    result, others, stand_in = run(messages, _episode(30.0), -4.0)
-    assert stand_in.pedals_seen == {(0.0, 0.0), (0.0, 0.5)}
-    speeds = [car.speed for _, car in sorted(others.cars.items())]
-    assert speeds[2] - speeds[1] == pytest.approx(-4.0 * 0.3)  # from the second tick on, however late the first was
-    assert speeds[-1] == 0.0
-    assert result.outcome == Outcome.ARRIVED
-
-
 def _same_car(name: str, **changes: Any) -> Episode:
     """A shipped scenario whose car drives on without noise, far away."""
     base = load_scenario(name)
@@ -317,21 +308,3 @@ def test_others_and_obstacles_are_put_in_place(messages: Any) -> None:
     van = np.array(stand_in.put["other_3"][-6 * result.ticks :])
     steps = np.hypot(*np.diff(van[:, :2], axis=0).T)
     np.testing.assert_allclose(steps, 10.0 * FRAME, atol=1e-6)  # moves in every frame, not in every tick
-
-
-def test_the_file_of_actors_has_everybody() -> None:
-    """In the form that carla_spawn_objects reads: role name, blueprint, pseudo sensor and pseudo actor."""
-    scenario = replace(load_scenario("bystanders"), obstacles=load_scenario("child").obstacles)
-    found = {one["id"]: one for one in objects(scenario)["objects"]}
-    assert list(found) == ["ego_vehicle", "adversary", *(f"other_{k}" for k in range(4)), "obstacle_0", "obstacle_1"]
-    kinds = {role: one["type"].rsplit(".", 1)[0] for role, one in found.items()}
-    assert kinds["adversary"] == kinds["other_0"] == "walker.pedestrian"
-    assert kinds["other_3"] == "vehicle.mercedes"
-    for role, one in found.items():
-        sensors = [(sensor["type"], sensor["id"]) for sensor in one["sensors"]]
-        assert ("actor.pseudo.control", "control") in sensors
-        assert (("sensor.pseudo.odom", "odometry") in sensors) == (role in ("ego_vehicle", "adversary"))
-    types = {name: objects(load_scenario(name))["objects"][1]["type"] for name in ("child", "cyclist", "cut_in")}
-    assert types["cyclist"].startswith("vehicle.diamondback")
-    assert types["cut_in"].startswith("vehicle.")
-    assert types["child"].startswith("walker.pedestrian")

@@ -59,14 +59,6 @@ def test_states_follow_their_episode() -> None:
     assert node.ticks == [(0, 10), (0, 10), (1, 11), (2, 12)]
 
 
-def test_a_state_before_its_episode_is_kept() -> None:
-    node = Node()
-    node.state(0, 10)
-    assert node.ticks == []
-    node.episode(1)
-    assert node.ticks == [(0, 10)]
-
-
 def test_another_evaluator_begins_with_the_stamps_of_the_last_episode() -> None:
     """Its first state, when it comes before its episode, must not be answered as a tick of the old one."""
     node = Node()
@@ -80,16 +72,6 @@ def test_another_evaluator_begins_with_the_stamps_of_the_last_episode() -> None:
     node.episode(2)
     assert node.begun == [1, 2]
     assert set(node.ticks) == {(0, 20)}
-
-
-def test_an_episode_said_again_changes_nothing() -> None:
-    node = Node()
-    node.episode(1)
-    node.state(0, 10)
-    node.episode(1)
-    node.state(1, 11)
-    assert node.begun == [1]
-    assert node.ticks == [(0, 10), (1, 11)]
 
 
 def test_states_between_ticks_have_their_control_period() -> None:

@@ -31,15 +31,6 @@ def heading(marker: Marker) -> float:
     return 2.0 * math.atan2(marker.pose.orientation.z, marker.pose.orientation.w)
 
 
-def test_the_lane_is_as_wide_as_the_road_along_the_whole_curve() -> None:
-    lane = shown(RIGHT_TURN, (0.0, 0.0), (-3.5, 0.0))[Marker.TRIANGLE_LIST]
-    points = np.array([(point.x, point.y) for point in lane.points])
-    surface = shapely.union_all([shapely.Polygon(points[i : i + 3]) for i in range(0, len(points), 3)])
-    line = shapely.LineString([road_pose(RIGHT_TURN.road.line, s)[:2] for s in np.linspace(-40.0, 40.0, 2000)])
-    wanted = line.buffer(0.5 * RIGHT_TURN.road.lane_width, cap_style="flat", quad_segs=64)
-    assert surface.symmetric_difference(wanted).area < 0.01 * wanted.area
-
-
 def test_every_lane_is_shown_and_which_way_it_is_driven() -> None:
     """Three of 3.5 m along 80 m, the left one oncoming; lines at four edges, each lane's two, and arrows."""
     road = Road(3.5, lanes=(Lane(-1, direction=ONCOMING), Lane(1)))

@@ -173,7 +173,7 @@ def test_nobody_walks(
         start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=2.0),
         start_node(context, CONTROLLER, tmp_path / "c", domain),
     )
-    with nodes, evaluator(tmp_path / "bags") as node:
+    with nodes, evaluator(tmp_path / "bags", silence_limit=4.0) as node:
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED
     assert log.reason == (

@@ -161,7 +161,6 @@ def test_somebody_elses_controller_comes_and_goes(
 MISBEHAVIOUR = {
     "Killed": "process ended: car_controller was killed by signal 9",
     "Raises": "process ended: car_controller ended with exit code 1",
-    "NotANumber": "not a finite number: the car controller commanded nan",
     "Silent": "no answer: the car controller (ego/acceleration_command) stayed silent for 2 s at tick 3",
 }
 

@@ -216,18 +216,6 @@ def test_the_frames_of_a_stack_that_calls_them_otherwise(ears: Any) -> None:
     assert 'name="car/front"' in graph.wait_for("/robot_description", 1)[0].data
 
 
-def test_the_looks_change_with_the_car_only(ears: Any) -> None:
-    graph = ears()
-    graph.listen(FIXED, LATCHED)
-    one, other = sharp("crossing"), sharp("citr_crossing")
-    for episode in (one, one, other):
-        graph.states.begin(episode, START)
-    looks = graph.wait_for("/robot_description", 2)
-    assert looks[0].data != looks[1].data
-    mounts = [message.transforms[-1].transform.translation.x for message in graph.wait_for("/tf_static", 2)]
-    assert mounts == [episode.scenario.sensor.mount_ahead for episode in (one, other)]
-
-
 def test_a_transform_is_said_again_only_to_those_who_came_since(ears: Any) -> None:
     """tf2 complains of one that comes twice, and a node that is late for a state that is repeated needs it."""
     graph = ears()

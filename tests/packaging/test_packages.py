@@ -71,15 +71,6 @@ def test_package_xml_is_valid(package):
     assert [export.content for export in manifest.exports if export.tagname == "build_type"] == [build_type]
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_licence_and_changelog_are_in_the_package(package):
-    folder = SOURCE / package
-    assert (folder / "LICENSE").read_bytes() == (SOURCE.parents[1] / "LICENSE").read_bytes()
-    assert '<license file="LICENSE">' in (folder / "package.xml").read_text(encoding="utf-8")
-    rule, title, _, _, section, *_ = (folder / "CHANGELOG.rst").read_text(encoding="utf-8").splitlines()  # REP 132
-    assert (title, rule, section) == (f"Changelog for package {package}", "^" * len(title), "Forthcoming")
-
-
 def test_versions_agree():
     catkin = pytest.importorskip("catkin_pkg.package")
     versions = {str(catkin.parse_package(str(SOURCE / package)).version) for package in PACKAGES}

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from skd_sim.world.timing import CommandAges, Schedule
 
 STEP = 100  # ns of simulation time between states
@@ -47,18 +45,6 @@ def test_who_waits_sees_how_long_the_answer_takes() -> None:
     ages.use(9.7)  # the quiet time is over
     assert ages.ages == pytest.approx([0.05, 0.4, 0.7])
     assert ages.held == 1
-
-
-@given(
-    period=st.floats(0.001, 1.0),
-    delays=st.lists(st.floats(0.0, 0.9), min_size=1, max_size=30),
-    start=st.floats(0.0, 1e5),
-)
-def test_delays_below_a_period_do_not_add_up(period: float, delays: list[float], start: float) -> None:
-    schedule = Schedule(start, period)
-    late = [schedule.late(start + (number + 1 + delay) * period) for number, delay in enumerate(delays)]
-    assert late == pytest.approx([delay * period for delay in delays], abs=1e-6 * period + 1e-9)
-    assert schedule.worst == max(0.0, *late)
 
 
 def test_a_schedule_goes_on_from_where_it_is() -> None:

@@ -105,16 +105,6 @@ def test_wet_stopping_distance_is_the_published_one() -> None:
     assert established_distance(WET, START) == pytest.approx(published, rel=0.1)
 
 
-def test_total_stopping_distance_adds_delay_and_build_up() -> None:
-    """A gentle stop is within the tyres' grip, and then the textbook's: v·(delay + ramp/2) + v²/2a − a·ramp²/24."""
-    command, delay, rate = 3.5, 0.2, 20.0
-    ramp = command / rate
-    expected = START * (delay + 0.5 * ramp) + START**2 / (2.0 * command) - command * ramp**2 / 24.0
-    assert stopping_distance(scenario(brake_delay=delay, brake_rate=rate), START, -command) == pytest.approx(
-        expected, rel=0.01
-    )
-
-
 @settings(max_examples=60)
 @given(
     commands=st.lists(st.floats(-15.0, 0.0), min_size=1, max_size=12),
@@ -206,21 +196,6 @@ def test_brake_waits_and_then_ramps(delay: float, rate: float, step: float) -> N
     np.testing.assert_allclose(applied, np.clip((times - delay) * rate, 0.0, 6.0), atol=rate * step + 1e-9)
     released = np.array([apply_brake(brake, 0.0, rate, step) for _ in times])
     np.testing.assert_allclose(released, np.clip(6.0 - (times - delay) * rate, 0.0, 6.0), atol=rate * step + 1e-9)
-
-
-def test_engine_follows_the_command_up_to_its_power() -> None:
-    path, _ = drive(scenario(), 5.0, [2.0] * 4)
-    assert path[-1, 3] == pytest.approx(5.0 + 2.0 * 4 * TICK, rel=0.02)
-    fast, _ = drive(scenario(), 25.0, [8.0] * 2)  # constant power: v² grows linearly
-    power = BMW_320I.a_max * BMW_320I.v_switch
-    assert fast[-1, 3] ** 2 - fast[0, 3] ** 2 == pytest.approx(2.0 * power * 2 * TICK, rel=0.03)
-
-
-def test_a_tick_in_parts_is_the_same_tick() -> None:
-    """A controller that decides at 20 Hz within the tick, with the same command each time, drives the same way."""
-    whole, _ = drive(scenario(), START, [FULL] * 3)
-    parts, _ = drive(scenario(), START, [FULL] * 18, duration=TICK / 6)
-    assert np.array_equal(whole, parts)
 
 
 def test_noise_comes_from_the_generator_only() -> None:

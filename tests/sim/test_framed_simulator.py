@@ -159,14 +159,6 @@ def test_a_source_says_when_its_own_shapes_touch(least_speed: float) -> None:
     assert FramedSimulator(Uniform()).own_contact is None
 
 
-def test_slow_impacts_do_not_count() -> None:
-    scenario = _scenario(9.0)
-    fast = replace(scenario, collision=replace(scenario.collision, minimum_impact_speed=20.0))
-    for what, outcome in ((scenario, Outcome.COLLISION), (fast, Outcome.ARRIVED)):
-        episode = Episode(what, Mode.SAFE, 7, 0)
-        assert _run(FramedSimulator(Uniform()), episode, (2.5, 0.0)).outcome == outcome
-
-
 def test_commands_beyond_its_limits_are_clipped_and_counted() -> None:
     source = Uniform()
     simulator = FramedSimulator(source)
@@ -175,12 +167,6 @@ def test_commands_beyond_its_limits_are_clipped_and_counted() -> None:
     assert simulator.clipped == end.tick
     _run(simulator, Episode(_scenario(30.0), Mode.SAFE, 7, 1), (2.5, 0.0), -8.0)
     assert simulator.clipped == 0
-
-
-@pytest.mark.parametrize("frame_step", [0.04, 0.07, 0.2, 0.7])
-def test_a_tick_has_whole_frames(frame_step: float) -> None:
-    with pytest.raises(UsageError, match=r"must divide the scenario's time_step 0\.3 s"):
-        FramedSimulator(Uniform(frame_step)).reset(Episode(_scenario(13.0), Mode.SAFE, 0, 0))
 
 
 def test_a_control_period_has_whole_frames() -> None:

@@ -98,12 +98,6 @@ def test_a_short_step_past_a_corner(corner: tuple[float, float], apart: float) -
         assert fraction == pytest.approx((half - math.sqrt(RADIUS**2 - apart**2)) / (2.0 * half), rel=1e-9)
 
 
-def test_contact_from_the_start_is_at_zero() -> None:
-    assert _contact((0.0, 0.0), (100.0, 0.0)) == 0.0
-    assert _contact((0.0, HALF_WIDTH + RADIUS), (0.0, 5.0)) == 0.0
-    assert _contact((0.0, 0.0), (0.0, 0.0)) == 0.0
-
-
 def _boxes(
     start: tuple[float, float], end: tuple[float, float], turned: float, half_length: float, half_width: float
 ) -> float:
@@ -141,17 +135,3 @@ def test_first_contact_of_boxes_against_polygons(
     if fraction > 0.0:
         assert at(fraction).intersection(car).area < 1e-6
         assert all(at(s).distance(car) > 0.0 for s in np.linspace(0.0, 1.0, 30) * fraction * (1.0 - 1e-6))
-
-
-@given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), turned=st.floats(-7.0, 7.0))
-def test_a_box_touches_between_the_discs_in_and_around_it(
-    start: tuple[float, float], end: tuple[float, float], turned: float
-) -> None:
-    """A square holds the disc of half its side, and lies in that of half its diagonal: no sooner, no later."""
-    around, box, inside = (
-        _contact(start, end, math.sqrt(2.0) * 0.3),
-        _boxes(start, end, turned, 0.3, 0.3),
-        _contact(start, end, 0.3),
-    )
-    assert around <= box + 1e-9
-    assert box <= inside + 1e-9

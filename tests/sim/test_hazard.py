@@ -13,7 +13,6 @@ from scipy.stats import binom
 from skd_sim.controllers.cal import (
     GAP,
     REACTION_TIME,
-    SCALE,
     STANDOFF,
     HazardNetwork,
     Perception,
@@ -87,45 +86,6 @@ def test_velocity_over_ground_of_a_walker_seen_from_a_moving_car():
         perception.update(laser.scan(car, adversary, tick), car)
     # The car's axis points North: ahead is y, left is −x.
     np.testing.assert_allclose(perception.velocities, [[velocity[1], -velocity[0]] * 2], atol=0.25)
-
-
-@pytest.mark.parametrize("period", [0.05, 0.1])
-def test_velocity_from_scans_that_come_more_often_is_over_as_long_a_time(period):
-    """As exact as from scans 0.3 s apart, and of the last 0.3 s only; until then it is new."""
-    perception = Perception(replace(CROSSING, control_period=period))
-    velocity, turned = np.array([2.0, -1.0]), np.array([-1.0, 0.5])
-    place = np.array([-4.0, 2.0])
-    laser = None
-    for index in range(round(1.2 / period) + 1):
-        car = CarState(0.0, -14.0 + 6.0 * period * index, HEADING_NORTH, 6.0)
-        adversary = AdversaryState(*place, 0.0, 0.0)
-        if laser is None:
-            laser, _ = scene(car, adversary)
-        perception.update(laser.scan(car, adversary, index), car)
-        if index * period < 0.3 - 1e-9:
-            assert np.isnan(perception.velocities[:, 2]).all()
-            assert len(perception.cautious_features(6.0)) == 1
-        elif index * period < 0.6 - 1e-9 or index * period > 0.9 - 1e-9:
-            now = velocity if index * period < 0.6 - 1e-9 else turned
-            np.testing.assert_allclose(perception.velocities[0, :2], [now[1], -now[0]], atol=0.25)
-        place += period * (velocity if index * period < 0.6 - 1e-9 else turned)
-
-
-def test_who_has_just_come_into_view_may_run_towards_the_path():
-    """8 km/h, as Euro NCAP's running adult, for as long as the car needs to stand; a parked car is taken to stand."""
-    car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
-    adversary = AdversaryState(2.5, 0.0, 0.0, 0.0)
-    laser, _ = scene(car, adversary, Obstacle(-3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
-    perception = Perception(CROSSING)
-    perception.update(laser.scan(car, adversary, 0), car)
-    (row,) = perception.cautious_features(5.0) / SCALE
-    run = 8.0 / 3.6 * (REACTION_TIME + 5.0 / 3.5)
-    # Mirrored to the left: towards the path is to the right.
-    np.testing.assert_allclose(
-        row[:4], [12.0 - CROSSING.car.front, 2.5, 12.0 - CROSSING.car.front, 2.5 - run], atol=0.1
-    )
-    perception.update(laser.scan(car, adversary, 1), car)
-    assert len(perception.cautious_features(5.0)) == 0
 
 
 # --- network and training

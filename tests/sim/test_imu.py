@@ -26,14 +26,6 @@ def test_without_forces_there_is_only_gravity(heading, speed, period):
     assert measured(*cars) == [Inertia(heading, 0.0, (0.0, 0.0, GRAVITY))] * 3
 
 
-@given(speed=st.floats(1.0, 20.0), braking=st.floats(0.1, 9.0), period=st.integers(5, 100))
-def test_braking_is_felt_backwards(speed, braking, period):
-    seconds = period * 1e-3
-    cars = [(k * period * MILLISECOND, CarState(0.0, 0.0, 1.5, speed - braking * k * seconds)) for k in range(4)]
-    for inertia in measured(*cars)[1:]:
-        assert inertia.acceleration == pytest.approx((-braking, 0.0, GRAVITY), abs=1e-9)
-
-
 @given(speed=st.floats(1.0, 20.0), radius=st.floats(5.0, 100.0), left=st.booleans(), start=st.floats(-3.1, 3.1))
 def test_a_circle(speed, radius, left, start):
     """v/r and v²/r, to the inside, across the jump of the heading at π, too."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from common import PATIENCE, wait_until
+from common import wait_until
 from skd_sim.controllers import isolated as module
 from skd_sim.controllers.isolated import (
     CALL_LIMIT,
@@ -182,17 +182,3 @@ def test_what_a_child_has_started_ends_with_a_parent_that_is_killed(family: Path
     wait_until(lambda: len(list(family.iterdir())) == 2, "the children")
     os.kill(parent, signal.SIGKILL)
     os.waitpid(parent, 0)
-
-
-def test_what_is_printed_goes_to_standard_error_and_nothing_is_read() -> None:
-    program = (
-        "import os, sys\nfrom skd_sim.controllers.isolated import isolated\n"
-        "def work(_):\n    print('by print')\n    os.system('echo by a program')\n    os.write(1, b'by number\\n')\n"
-        "    return sys.stdin.read()\n"
-        "print('first, without a new line', end='')\nprint(repr(isolated('mine', work, None)))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], input="keys", capture_output=True, text=True, timeout=PATIENCE, check=False
-    )
-    assert done.stdout == "first, without a new line''\n"
-    assert done.stderr.splitlines() == ["by print", "by a program", "by number"]

@@ -64,18 +64,6 @@ def test_lanes_of_a_curve_keep_their_distance_from_it() -> None:
             assert math.remainder(math.atan2(driven[1], driven[0]) - heading, math.tau) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_arrows_point_the_way_each_lane_is_driven() -> None:
-    assert Road(3.5).arrows(-20.0, 20.0) == []
-    arrows = Road(3.5, lanes=FOUR).arrows(-20.0, 20.0)
-    assert len(arrows) == 5 * 5  # at −16, −8, 0, 8 and 16 m of each
-    for tip, right, left in arrows:
-        ahead = tip - 0.5 * (right + left)
-        if tip[1] > 19.0 and tip[0] > -13.0 and abs(ahead[1]) < 1e-9:
-            assert ahead == pytest.approx([1.4, 0.0])  # the lane that leads East at y = 20
-        else:
-            assert ahead == pytest.approx([0.0, -1.4 if tip[0] < -1.75 else 1.4], abs=1e-9)
-
-
 def test_an_adversary_starts_on_a_lane() -> None:
     oncoming = adversary(**BOX, lane=-1, along=25.0)
     del oncoming["radius"]

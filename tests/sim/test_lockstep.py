@@ -7,7 +7,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lockstep_bench import LIMITS, START, TIME_STEP, Bench, Message, frame, send, stamp
+from lockstep_bench import LIMITS, START, Bench, Message, send, stamp
 from skd_sim.ros.lockstep import Action, ControlStep, End, Repeat
 from skd_sim.world.episode import AbortKind, Outcome, kind_of
 from skd_sim.world.world import Contact
@@ -95,14 +95,6 @@ def test_two_answers_to_a_tick_abort_in_any_order(order: st.DataObject, tick: in
     assert ("with the same command" if same else "with different commands") in end.reason
 
 
-def test_a_second_answer_names_all_who_publish(bench: Bench) -> None:
-    bench.lockstep.drive(stamp(0), 1.0)
-    bench.cars.alive = ["/one", "/two"]
-    end = bench.lockstep.drive(stamp(0), 2.0)
-    assert isinstance(end, End)
-    assert end.reason.endswith("(it has 2 publishers: /one, /two)")
-
-
 # --- what no command may be
 
 
@@ -165,12 +157,6 @@ def test_a_node_that_hangs_is_not_one_of_wrong_stamps(bench: Bench) -> None:
     assert kind_of(end.reason) == AbortKind.NO_ANSWER
 
 
-def test_time_counts_from_the_last_tick(bench: Bench) -> None:
-    bench.now = 109.0
-    bench.go_to(1)
-    assert bench.lockstep.watch(bench.now + LIMITS.command) is None
-
-
 def test_tick_0_is_repeated_and_no_other(bench: Bench) -> None:
     assert bench.lockstep.watch(bench.now + 0.1) is None
     assert bench.lockstep.watch(bench.now + 0.21) == Repeat()
@@ -203,18 +189,6 @@ def test_a_crowd_is_seen_at_begin_and_end(when: str) -> None:
 
 
 # --- ends
-
-
-@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.ARRIVED, Outcome.MISSED, Outcome.TIMEOUT])
-def test_the_simulator_says_when_it_is_over(bench: Bench, outcome: Outcome) -> None:
-    bench.go_to(2)
-    contact = Contact(0.25, 7.5) if outcome == Outcome.COLLISION else None
-    assert bench.advance(3, outcome, contact) == End(outcome, frame(3, outcome, contact), stamp(3), "")
-
-
-def test_the_impact_is_within_its_tick() -> None:
-    assert frame(3, Outcome.COLLISION, Contact(0.25, 7.5)).impact(TIME_STEP) == pytest.approx((0.6 + 0.075, 7.5))
-    assert all(map(math.isnan, frame(3).impact(TIME_STEP)))
 
 
 def test_an_episode_knows_nothing_of_the_last(bench: Bench) -> None:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.errors import UsageError
-from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Obstacle, Scenario, check_way, load_scenario, scenario_from_dict
 from skd_sim.world.contact import clearance, runs_into
 from skd_sim.world.episode import Episode, Mode, Outcome
@@ -70,13 +69,6 @@ def test_who_runs_into_one_has_missed_but_a_replay_goes_on() -> None:
         assert episode.outcome(1, inside, collided=True) == Outcome.COLLISION
 
 
-def test_of_a_box_the_largest_disc_within_it_cannot_pass() -> None:
-    cyclist = load_scenario("cyclist")
-    assert cyclist.adversary.width is not None
-    assert cyclist.adversary.core == 0.5 * cyclist.adversary.width
-    assert CROSSING.adversary.core == CROSSING.adversary.radius
-
-
 @pytest.mark.parametrize(
     ("obstacle", "said"),
     [
@@ -92,16 +84,6 @@ def test_one_in_the_way_of_the_car_or_at_the_start_is_refused(obstacle: Obstacle
         with_obstacles(PARKED, obstacle)
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_beside_a_curve_it_is_the_lane_that_counts() -> None:
-    """Where the straight lane would be is free there, and where the curve leads is not."""
-    line = load_scenario("right_turn").road.line
-    x, y, _ = road_pose(line, -20.0)
-    assert abs(x) > 3.0
-    with pytest.raises(UsageError, match="stands in the car's path"):
-        with_obstacles(Obstacle(x, y, 0.0, 1.0, 1.0), name="right_turn")
-    with_obstacles(Obstacle(0.0, -20.0, 0.0, 1.0, 1.0), name="right_turn")
 
 
 def test_a_way_through_one_is_refused_and_said_where() -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_adversary.adversary import ReplayAdversary
-from skd_evaluator.assessment.episode_figures import ADVERSARY, closing_speed, collision_partner
 from skd_evaluator.assessment.plausibility import ROUNDING, implausible, recompute, touches
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import takes_scene
@@ -139,24 +138,3 @@ def test_another_simulator_has_to_place_them() -> None:
     episode = Episode(scenario_with(STANDING), Mode.REPLAY, 0, 0, safe_trajectory=ASIDE, simulator="elsewhere")
     with pytest.raises(UsageError, match=r"has others, which simulator 'elsewhere' does not place"):
         simulator.reset(episode)
-
-
-def test_whom_the_car_hit_is_said() -> None:
-    log = played(scenario_with(LEADING, STANDING), number=3)
-    assert log.outcome == Outcome.COLLISION
-    first = min((touch, index) for index, touch in enumerate(touches(log)) if touch is not None)[1] - 1
-    assert collision_partner(log) == first
-    alone = Trajectory(np.tile([0.0, 0.0], (30, 1)), 0.3)  # an adversary in the way
-    episode = Episode(scenario_with(WALKING), Mode.REPLAY, 0, 0, multiplier=0.0, safe_trajectory=alone)
-    assert collision_partner(run_episode(episode)) == ADVERSARY
-    assert collision_partner(played(scenario_with(WALKING))) is None
-
-
-def test_closing_speeds() -> None:
-    ahead = played(scenario_with(LEADING, noise=False))
-    assert closing_speed(ahead) == pytest.approx(25.0 / 3.0 - 4.0)
-    across = Trajectory(np.column_stack([-3.5 + 0.6 * np.arange(12), np.zeros(12)]), 0.3)  # at 2 m/s
-    episode = Episode(scenario_with(noise=False), Mode.REPLAY, 0, 0, multiplier=0.0, safe_trajectory=across)
-    hit = run_episode(episode)
-    assert closing_speed(hit) == pytest.approx(math.hypot(hit.impact_speed, 2.0))
-    assert math.isnan(closing_speed(played(scenario_with(WALKING))))

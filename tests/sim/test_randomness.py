@@ -4,7 +4,6 @@ import itertools
 import math
 
 import numpy as np
-import pytest
 from skd_sim.world.episode import Role, generator
 
 
@@ -21,12 +20,6 @@ def test_roles_keep_their_numbers() -> None:
         "WALKER": 10,
         "RISK": 11,
     }
-
-
-@pytest.mark.parametrize("role", Role)
-def test_same_key_same_stream(role: Role) -> None:
-    first, second = generator(7, 3, role), generator(7, 3, role)
-    assert first.random(100).tobytes() == second.random(100).tobytes()
 
 
 def test_streams_differ_and_are_uncorrelated() -> None:

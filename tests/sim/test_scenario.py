@@ -144,7 +144,7 @@ def test_every_number_has_a_range_and_a_unit() -> None:
 
 
 @given(data=st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_anything_in_any_place_is_a_scenario_or_one_line(data: st.DataObject) -> None:
     base = listed(FULL)
     place = data.draw(st.sampled_from([*places(base)]))
@@ -173,98 +173,60 @@ def test_a_slip_of_the_pen_is_named_with_what_was_meant(place: str) -> None:
 MISTAKES: list[tuple[dict[str, Any], str]] = [
     # of types
     ({"name": 3}, "name must be text, got 3"),
-    ({"description": None}, "description must be text, got None"),
     ({"car.meet_safe_trajectory": 1}, "car.meet_safe_trajectory must be true or false, got 1"),
-    ({"car.antilock": "yes"}, "car.antilock must be true or false, got 'yes'"),
     ({"car": [1]}, "car must be a mapping, got list"),
-    ({"sensor": 3}, "sensor must be a mapping, got int"),
     ({"obstacles": {"x": 1.0}}, "obstacles must be a list, got dict"),
-    ({"obstacles": "none"}, "obstacles must be a list, got str"),
     ({"sensor.beams": 20.5}, "sensor.beams must be a whole number from 2 to 4096 (beams), got 20.5"),
-    ({"car.dynamics": "fast"}, "car.dynamics must be one of basic, multi_body, got 'fast'"),
     ({"car.dynamics": True}, "car.dynamics must be one of basic, multi_body, got True"),
     # of keys
     ({"car.colour": 1}, "unknown key car.colour; allowed: front, rear, width, "),
-    ({3: 4} | {"car.width": 1.8}, "unknown key [3]; allowed: name, description, "),
     ({"adversary.lanes": 1}, "unknown key adversary.lanes; allowed: kind, "),
-    ({"car.width": LEFT_OUT}, "missing key car.width"),
     ({"adversary": LEFT_OUT}, "missing key adversary"),
     # of bodies
     ({"adversary.radius": LEFT_OUT}, "adversary: needs radius, for a disc, or both length and width, for a box"),
-    ({"adversary.radius": LEFT_OUT, "adversary.length": 1.8}, "adversary: needs radius, for a disc, or both length"),
     ({"adversary.width": 0.6}, "adversary: needs radius, for a disc, or both length and width, for a box"),
-    ({"adversary.kind": "A cyclist"},
-     "adversary: kind must be a name of small letters, digits and _, as pedestrian; got 'A c"),
     ({"adversary.kind": 3}, "adversary.kind must be text, got 3"),
-    ({"adversary.start_speed": 3.0}, "adversary: start_speed 3 m/s is more than speed, 2.5 m/s"),
     ({"others": [STANDS | {"length": 2.0}]},
      "others[0]: needs radius, for a disc, or both length and width, for a box"),
-    ({"others": [STANDS | {"way": []}]}, "others[0]: way needs at least one point"),
     ({"others": [STANDS | {"way": [{"time": 1.0, "x": 0.0, "y": 9.0}, {"time": 1.0, "x": 1.0, "y": 9.0}]}]},
      "others[0]: way[1].time must be greater than that of the point before it (1 s), got 1"),
-    ({"others": [STANDS | {"way": [{"time": 0.0, "x": 0.0, "y": -14.0}]}]}, "others[0] is where the car starts"),
     ({"others": [STANDS | {"way": [{"time": 0.0, "x": -3.4, "y": 0.1}]}]}, "others[0] is where the adversary starts"),
-    ({"others": [STANDS | {"speed": 3.0}]}, "unknown key others[0].speed"),
     ({"others": [{"radius": 0.2, "way": STANDS["way"]}]}, "missing key others[0].kind"),
     # of times
     ({"horizon": 0.2}, "horizon must be at least time_step (0.3 s)"),
-    ({"control_period": 0.07}, "control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"),
     ({"control_period": 0.6}, "control_period 0.6 s must divide time_step 0.3 s; 0.3 s does"),
     # of destinations
     ({"adversary.destination_x": LEFT_OUT}, "missing key adversary.destination_x (or a section ending with arrived)"),
-    ({"adversary.destination_x": -3.5}, "adversary.destination_x must differ from adversary.start_x"),
     ({"ending": {"arrived": {"right_of": 2.0}}}, "adversary.destination_x and ending.arrived both say where"),
-    ({"adversary.destination_x": LEFT_OUT, "ending": {"arrived": {}}}, "ending.arrived needs right_of, left_of"),
     ({"ending": {"missed": {"east_of": 2.0}}},
      "unknown key ending.missed.east_of; allowed: right_of, left_of, ahead_of, "),
     # of roads
     ({"road.parts": [{"length": 8.0, "radius": 8.0}]}, "road.parts[0]: has a radius and no turn; a curve needs both"),
-    ({"road.parts": [{"length": 8.0}, {"length": 8.0, "turn": "left"}]}, "road.parts[1]: has a turn and no radius"),
     ({"road.parts": [CURVE | {"turn": "up"}]}, "road.parts[0].turn must be one of left, right, got 'up'"),
-    ({"road.parts": [CURVE | {"length": 4.0, "radius": 1.5}]},
-     "road: parts[0].radius must exceed half of lane_width (1.75 m), got 1.5"),
     ({"road.parts": [CURVE | {"length": 26.0}]},
      "road.parts[0]: turns by more than half a circle; its length may be at most 25.13 m"),
-    ({"road.parts": [CURVE], "road.origin": 8.5},
-     "road: origin must be at most the length of all parts (8 m), got 8.5"),
     ({"road.origin": 8.5}, "road: origin says where along parts the crossing point is; there are no parts"),
-    ({"road.parts": [CURVE], "car.dynamics": "multi_body"},
-     "car.dynamics multi_body does not steer, so it cannot follow"),
     ({"road.friction": 0.65}, "road.friction 0.65 has no effect on car.dynamics basic; set car.dynamics to multi_body"),
     # of lanes
     ({"road.lanes": [{"number": 0}]}, "road: lanes[0].number 0 is that of the car's own lane"),
-    ({"road.lanes": [{"number": 1}, {"number": 1}]}, "road: lanes[1].number 1 is that of another lane"),
     ({"road.lanes": [{"number": 2}]}, "road: lanes[0].number 2 leaves out lane 1"),
-    ({"road.lanes": [{"number": -1}, {"number": -3}]}, "road: lanes[1].number -3 leaves out lane -2"),
     ({"road.lanes": [{"number": 5, "heading": 0.0}]},
      "road.lanes[0]: has heading; a lane elsewhere needs x, y and heading"),
-    ({"road.lanes": [{"number": 5, "x": 0.0, "y": 1.0}]}, "road.lanes[0]: has x and y; a lane elsewhere needs"),
     ({"road.lanes": [LANES[2] | {"direction": "oncoming"}]},
      "road.lanes[0]: has a heading, which says which way it is driven"),
-    ({"road.lanes": [{"number": 1, "direction": "left"}]},
-     "road.lanes[0].direction must be one of same, oncoming, got 'left'"),
     ({"road.lanes": [{"number": -1}], "road.parts": [{"length": 8.0, "radius": 5.0, "turn": "left"}]},
      "road: parts[0].radius must exceed half of lane_width and the widths of lanes on that side (5.25 m), got 5"),
     # of places on lanes
     (PLACED | {"adversary.lane": 4, "adversary.along": 1.0},
      "adversary.lane: the road has no lane 4; it has 0 (road.lanes)"),
-    (PLACED | {"adversary.lane": 0}, "missing key adversary.along"),
     (PLACED | {"adversary.along": 1.0}, "missing key adversary.lane"),
-    (PLACED | {"adversary.lane": 1.5, "adversary.along": 1.0}, "adversary.lane must be a whole number from -99 to 99"),
     ({"adversary.lane": 0, "adversary.along": 1.0}, "adversary has a lane and start_x; leave one out"),
-    ({"ending": {"missed": {"lane": 0, "left_of": 2.0}}}, "ending.missed has a lane and left_of; leave one out"),
     ({"ending": {"missed": {"lane": 9}}, "road.lanes": LANES},
      "ending.missed.lane 9 is elsewhere; a region is beside and"),
-    ({"others": [BOX | {"way": [{"time": 0.0, "lane": 3, "along": 0.0}]}]},
-     "others[0].way[0].lane: the road has no lane 3"),
     ({"others": [BOX | {"way": [{"lane": 0, "along": 0.0}]}]}, "missing key others[0].way[0].time"),
-    ({"obstacles": [{"lane": 0, "length": 4.0, "width": 2.0}]}, "missing key obstacles[0].along"),
     # of starts
     ({"car.start_time": 3.0}, "car.start_time and car.start_gap both say where the car starts; leave one out"),
-    ({"car.start_gap": LEFT_OUT, "car.start_time": "soon"},
-     "car.start_time must be a number (s), and go with the number"),
     ({"adversary.start_x": 0.0, "adversary.start_y": -20.0}, "the car overlaps the adversary at the start"),
-    ({"adversary.start_x": -1.1, "adversary.start_y": -14.0}, "the car overlaps the adversary at the start"),
     # of a regulator's target
     ({"protocol": {"source": "", "speed": 1.0, "impact_places": [5, 5]}},
      "protocol: impact_places must be a list of different"),
@@ -275,8 +237,6 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
      "protocol: acceleration_distance is for a target that starts from standing"),
     ({"protocol": {"source": "", "speed": 1.0, "impact_places": [5], "aside": 1.0}},
      "protocol: aside, change_time and change_ends say"),
-    ({"protocol": {"source": "", "speed": 2, "impact_places": [5], "aside": 9, "change_time": 0.1, "change_ends": 1}},
-     "protocol: change_time is too short: at 2 m/s"),
 ]  # fmt: skip
 
 

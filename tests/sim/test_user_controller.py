@@ -68,13 +68,6 @@ def test_what_are_no_accelerations_of_all_episodes_is_said(answer: Any) -> None:
         user_controller(Answers(answer), "mine").commands(STATES)
 
 
-def test_accelerations_of_many_episodes_change_no_state() -> None:
-    before = STATES.copy()
-    found = user_controller(Answers([1, 2, 3]), "mine").commands(STATES)
-    assert (found.dtype, found.tolist()) == (np.float64, [1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(STATES, before)
-
-
 @pytest.mark.parametrize(
     ("error", "said"),
     [

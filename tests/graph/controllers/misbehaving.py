@@ -51,13 +51,6 @@ class Raises(_Once):
         raise RuntimeError("sensor fusion has diverged")
 
 
-class NotANumber(_Once):
-    """Divides zero by zero."""
-
-    def misbehave(self) -> float:
-        return math.nan
-
-
 class Silent(_Once):
     """Takes its time."""
 
