@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import Obstacle, Scenario, check_way, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario import Obstacle, Scenario, check_trajectory, load_scenario, scenario_from_dict
 from skd_sim.world.contact import clearance, runs_into
 from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory
@@ -92,6 +92,6 @@ def test_a_way_through_one_is_refused_and_said_where() -> None:
     with pytest.raises(
         UsageError, match=r"'way' runs into obstacles\[1\] of scenario crossing at 0.6 s, at \(-2.6, -4\)"
     ):
-        check_way(scenario, Trajectory(points, 0.3, "way"))
-    check_way(scenario, Trajectory(points[:2], 0.3, "way"))
-    check_way(CROSSING, Trajectory(points, 0.3, "way"))
+        check_trajectory(scenario, Trajectory(points, 0.3, "way"))
+    check_trajectory(scenario, Trajectory(points[:2], 0.3, "way"))
+    check_trajectory(CROSSING, Trajectory(points, 0.3, "way"))

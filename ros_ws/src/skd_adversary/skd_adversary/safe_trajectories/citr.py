@@ -21,7 +21,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
-from skd_sim.scenario.scenario import Scenario, check_way
+from skd_sim.scenario.scenario import Scenario, check_trajectory
 from skd_sim.world.contact import first_contact, to_car_frame
 from skd_sim.world.state import Trajectory
 
@@ -264,7 +264,7 @@ def _unusable(clip: Clip, track: PedestrianTrack, points: FloatArray, scenario: 
     if touches_cart(clip, track, scenario.adversary.reach):
         return "touches the recorded cart"
     try:
-        check_way(scenario, Trajectory(points, scenario.time_step))
+        check_trajectory(scenario, Trajectory(points, scenario.time_step))
     except UsageError:
         return "runs into an obstacle"
     gap = scenario.car.start_speed * scenario.end.entry_time(Trajectory(points, scenario.time_step))

@@ -11,7 +11,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.protocol import regulatory_trajectories
-from skd_sim.scenario.scenario import Scenario, check_way, start_clearance
+from skd_sim.scenario.scenario import Scenario, check_trajectory, start_clearance
 from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory
@@ -81,7 +81,7 @@ def _selection(path: Path, scenario: Scenario) -> Selection:
     if str(path) == REGULATORY:
         ways = regulatory_trajectories(scenario)
         for way in ways:
-            check_way(scenario, way)
+            check_trajectory(scenario, way)
         return Selection(ways, [])
     try:
         if not path.is_dir():
@@ -176,7 +176,7 @@ def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
     try:
         if crosses or scenario.car.meet_safe_trajectory:
             scenario.end.entry_time(trajectory)
-        check_way(scenario, trajectory)
+        check_trajectory(scenario, trajectory)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     (first, _), (last, _) = (scenario.end.place(x, y) for x, y in trajectory.positions[[0, -1]].tolist())

@@ -26,7 +26,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.driving.hand import Controls, Drive, Hand, LeftError, Wish, driving_in_process
+from skd_evaluator.driving.drive import Controls, Drive, Hand, LeftError, Wish, driving_in_process
 from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing, terminal
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.report.presentation import episode_line
@@ -147,7 +147,7 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
 @contextmanager
 def _on_terminal(title: str, controls: Controls, *, by_keys: bool) -> Iterator[Screen]:
     """Draw on the terminal and read its keys, as long as this lasts."""
-    from skd_evaluator.driving.hand import reading_keys
+    from skd_evaluator.driving.drive import reading_keys
 
     console = terminal()
     screen = Screen(title, KEYS if by_keys else KEYS_OF_ONLOOKER, console)

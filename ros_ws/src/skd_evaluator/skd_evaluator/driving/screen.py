@@ -20,7 +20,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road_user import Body
 
 from skd_evaluator import palette
-from skd_evaluator.driving.situation import Situation
+from skd_evaluator.driving.drive import Situation
 
 KEYS = "arrows or w a s d: walk · space: stand · + −: pace · r: again · q: quit"
 KEYS_OF_ONLOOKER = "r: again · q: quit"

@@ -23,8 +23,7 @@ from skd_sim.world.episode import Episode, EpisodeLog
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import CommandAges
 
-from skd_evaluator.driving.hand import Drive, HandFor, LeftError, Show, Wish
-from skd_evaluator.driving.situation import Onlooker
+from skd_evaluator.driving.drive import Drive, HandFor, LeftError, Onlooker, Show, Wish
 from skd_evaluator.ros.evaluator import Evaluator
 
 _UNITS = {Quantity.ACCELERATION: "m/s²", Quantity.SPEED: "m/s"}

@@ -235,7 +235,7 @@ def run_node(
     return code
 
 
-class _Told(Protocol):
+class _Announced(Protocol):
     """What a node is told of an episode: the scenario at least."""
 
     @property
@@ -243,7 +243,7 @@ class _Told(Protocol):
         """In which both move."""
 
 
-_Episode = TypeVar("_Episode", bound=_Told)
+_Episode = TypeVar("_Episode", bound=_Announced)
 
 
 class EpisodeFollower(Generic[_Episode]):

@@ -431,7 +431,7 @@ def _start_poses(scenario: Scenario, gap: float) -> Iterator[tuple[float, float,
         yield road_pose(scenario.road.line, place)
 
 
-def check_way(scenario: Scenario, trajectory: Trajectory) -> None:
+def check_trajectory(scenario: Scenario, trajectory: Trajectory) -> None:
     """Refuse a way of the adversary that leads through an obstacle.
 
     Raises:

@@ -10,7 +10,7 @@ from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER
 from skd_adversary.crossing.road_users import EAST, PEDESTRIAN
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import Scenario, check_way
+from skd_sim.scenario.scenario import Scenario, check_trajectory
 from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
 from skd_sim.world.state import Trajectory
 
@@ -112,7 +112,7 @@ def _crosses(scenario: Scenario, way: Trajectory) -> bool:
     """Tell whether a way leads from elsewhere to the destination, and into no obstacle."""
     first, last = (scenario.end.arrived(*place) for place in way.positions[[0, -1]].tolist())
     with contextlib.suppress(UsageError):
-        check_way(scenario, way)
+        check_trajectory(scenario, way)
         return last and not first
     return False
 
