@@ -13,9 +13,11 @@ combined slip (Pacejka), as reduced in section 9. Road friction scales the peak 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 from skd_sim.arrays import FloatArray
+from skd_sim.inputs.yaml_file import read_yaml
 from skd_sim.kernels.compilation import kernel
 
 GRAVITY = 9.81  # m/s², as in the source
@@ -101,81 +103,9 @@ class Tyre(NamedTuple):
     r_vy6: float
 
 
-BMW_320I = Vehicle(
-    m=1093.2952334674046,
-    m_s=965.7108098804363,
-    m_uf=63.7921826056784,
-    m_ur=63.7921826056784,
-    a=1.1561957064,
-    b=1.4227170936,
-    I_Phi_s=207.26524557936952,
-    I_y_s=1565.8178787125541,
-    I_z=1791.5995300122856,
-    I_xz_s=0.0,
-    K_sf=24453.137879749014,
-    K_sdf=1786.2441002440723,
-    K_sr=19635.504745231297,
-    K_sdr=1649.0833034887382,
-    T_f=1.38684,
-    T_r=1.36398,
-    K_ras=175186.65943700788,
-    K_tsf=-6914.881688272133,
-    K_tsr=-2643.6009520155308,
-    K_rad=10215.732056044453,
-    K_zt=158294.1398119115,
-    h_cg=0.5748689544000001,
-    h_raf=0.0,
-    h_rar=0.0,
-    h_s=0.61373004,
-    I_uf=30.673279563178017,
-    I_ur=29.670408143156248,
-    I_y_w=1.7,
-    K_lt=1.6430724599974725e-05,
-    R_w=0.344,
-    T_sb=0.66,
-    T_se=0.0,
-    D_f=-0.39370078740157477,
-    D_r=-0.905511811023622,
-    E_f=0.0,
-    E_r=0.0,
-    a_max=11.5,
-    v_switch=7.319,
-)
-
-SOURCE_TYRE = Tyre(
-    p_cx1=1.6411,
-    p_dx1=1.1739,
-    p_dx3=0.0,
-    p_ex1=0.46403,
-    p_kx1=22.303,
-    p_hx1=0.0012297,
-    p_vx1=-8.8098e-06,
-    r_bx1=13.276,
-    r_bx2=-13.778,
-    r_cx1=1.2568,
-    r_ex1=0.65225,
-    r_hx1=0.0050722,
-    p_cy1=1.3507,
-    p_dy1=1.0489,
-    p_dy3=-2.8821,
-    p_ey1=-0.0074722,
-    p_ky1=-21.92,
-    p_hy1=0.0026747,
-    p_hy3=0.031415,
-    p_vy1=0.037318,
-    p_vy3=-0.32931,
-    r_by1=7.1433,
-    r_by2=9.1916,
-    r_by3=-0.027856,
-    r_cy1=1.0719,
-    r_ey1=-0.27572,
-    r_hy1=5.7448e-06,
-    r_vy1=-0.027825,
-    r_vy3=-0.27568,
-    r_vy4=12.12,
-    r_vy5=1.9,
-    r_vy6=-10.704,
-)
+_PARAMETERS = read_yaml(Path(__file__).with_name("bmw_320i.yaml"))
+BMW_320I = Vehicle(**_PARAMETERS["vehicle"])
+SOURCE_TYRE = Tyre(**_PARAMETERS["tyre"])
 
 # Three offsets are left out of the car that drives. With p_hx1 and p_vx1 a tyre pushes at zero slip, that is, makes
 # energy from nothing; r_vy1 pulls the same way on both sides of the car, and nobody steers against it here.
