@@ -6,9 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-import zstandard
 from bag_tools import Item, read_items, shuffled, write_items
 from graph_support import Campaign, assert_same_results, skd_here
 from mcap.reader import make_reader
@@ -17,7 +15,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from skd_evaluator.bags.read import read_episodes
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
 TOPICS = {
@@ -210,78 +207,3 @@ def test_two_campaigns_and_the_choice_between_them(
 
 
 # --- what cannot be replayed
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        (".keep", b"", "no .mcap file"),
-        ("x.mcap", b"not a recording", "x.mcap"),
-        ("x.db3", b"SQLite format 3\0", "record with the MCAP storage"),
-        ("bag_0.mcap.zstd", zstandard.compress(b"an mcap file"), "zstd -d"),
-    ],
-)
-def test_no_recording(refused: Callable[..., str], tmp_path: Path, name: str, content: bytes, said: str) -> None:
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / name).write_bytes(content)
-    assert said in refused(tmp_path / "bag")
-    assert "no such file" in refused(tmp_path / "nowhere")
-
-
-def _of_clock(item: Item) -> Item:
-    return dataclasses.replace(item, topic="/ego/odometry") if item.topic == "/clock" else item
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda items: without(items, "/skd/episode"), "/skd/episode"),
-        (lambda items: without(items, "/skd/episode_result"), "no kamikaze or replay episode"),
-        (lambda items: list(map(_of_clock, without(items, "/ego/odometry"))), "expected nav_msgs/msg/Odometry"),
-        (
-            lambda items: [dataclasses.replace(item, data=zstandard.compress(item.data)) for item in items],
-            "zstd_fast",
-        ),
-    ],
-)
-def test_a_recording_that_lacks_something(
-    refused: Callable[..., str], campaign: Campaign, tmp_path: Path, change: Callable[..., list[Item]], said: str
-) -> None:
-    write_items(tmp_path / "x.mcap", change(read_items(files_of(campaign)[:1])))
-    assert said in refused(tmp_path / "x.mcap")
-
-
-def test_cut_or_damaged_anywhere(
-    refused: Callable[..., str], campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole = bytearray(files_of(campaign)[0].read_bytes())
-    file = tmp_path / "cut.mcap"
-    for share in np.linspace(0.02, 0.98, 9):
-        file.write_bytes(whole[: int(share * len(whole))])
-        assert "cut.mcap" in refused(file)
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        damaged = bytearray(whole)
-        for place in rng.integers(8, len(whole), 20):
-            damaged[place] = rng.integers(256)
-        file.write_bytes(damaged)
-        finished = skd_here(capsys, "replay", file, "--out", tmp_path / f"damaged-{seed}")
-        assert finished.code in (0, 1, 2)
-        assert len(finished.lines) <= 1, finished.err
-
-
-def without(items: list[Item], topic: str) -> list[Item]:
-    return [item for item in items if item.topic != topic]
-
-
-def test_without_one_result(campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The others count, and a warning names the one that does not."""
-    *files, last = files_of(campaign)
-    episode = next(one.log.episode.episode_id for one in read_episodes([last]))
-    write_items(tmp_path / "x.mcap", without(read_items([last]), "/skd/episode_result"))
-    finished = skd_here(capsys, "replay", *files, tmp_path / "x.mcap", "--out", tmp_path / "replayed")
-    assert finished.code == 0
-    assert f"warning: 1 episode left out, no result was recorded ({episode})" in finished.err
-    ids = np.load(tmp_path / "replayed" / "episodes.npz")["episode_id"]
-    assert episode not in ids
-    assert len(ids) == len(np.load(campaign.graph / "episodes.npz")["episode_id"]) - 1
