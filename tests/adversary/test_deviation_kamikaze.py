@@ -38,7 +38,7 @@ def a_fitted_car() -> FittedCar:
         name: CarParameter(ParameterPrior("point", (value := numbers.get(name, 0.0))), value, 0.0, (value, value))
         for name in PARAMETERS
     }
-    return FittedCar("distance", "none", "sharp", 0.0, parameters, (), "distance", None, 10, 100, 20, 0.3)
+    return FittedCar(measure="distance", gate="none", spread="sharp", lapse=0.0, parameters=parameters, time_step=0.3)
 
 
 def a_model(limit: float | None = None, *, known: bool = True, fitted: bool = False) -> Pomdp:

@@ -74,7 +74,7 @@ def a_fitted_car() -> str:
         )
         for name in PARAMETERS
     }
-    car = FittedCar("distance", "none", "episode", 0.0, parameters, (), "distance", None, 10, 100, 20, 0.3)
+    car = FittedCar(measure="distance", gate="none", spread="episode", lapse=0.0, parameters=parameters, time_step=0.3)
     return car_model_text(car)
 
 
