@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded_cars import logs_of
-from skd_adversary.adversary import learned_car
 from skd_adversary.car_models.car_model_file import (
     FittedCar,
     car_model_text,
@@ -19,7 +18,16 @@ from skd_adversary.car_models.car_model_file import (
 from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described, forest_transform, grow, leaf_of
 from skd_adversary.car_models.observations import Observations
 from skd_adversary.car_models.prediction import learn_car
-from skd_adversary.crossing.cars import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE, unknown_car
+from skd_adversary.crossing.cars import (
+    CHANGE,
+    CHANGE_BEFORE,
+    FOREST_STATE_DIM,
+    RECEDING,
+    SIDEWAYS,
+    TREE,
+    LearnedCar,
+    unknown_car,
+)
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, STATE_DIM
@@ -109,7 +117,7 @@ def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
     """Many steps from one state: the shares of changes of speed are those that the donors' leaves have."""
     scenario = load_scenario(name)
     path = np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)])
-    prediction = learned_car(learned, unknown_car())
+    prediction = LearnedCar(learned, unknown_car())
     model = compose(
         scenario,
         objective_named(Objective.DEVIATION),
@@ -139,7 +147,7 @@ def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
     gap, arrival = 12.0 - scenario.car.front, (12.0 - scenario.car.front) / 6.0
     there = -3.0 + 2.5 * arrival
     features = np.array([gap, -3.0, 2.5, 0.0, 2.5, 0.0, 6.0, -0.4, -0.3, arrival, there, 6.0, arrival, there])
-    trees = prediction.forest.trees
+    trees = learned.forest.trees
     donors = []
     for root in trees.roots:
         node = leaf_of(trees.nodes, root, features)

@@ -11,11 +11,9 @@ from skd_sim.options.adversary import Knowledge
 from skd_sim.world.episode import Episode, Mode, Role, generator
 from skd_sim.world.state import CarState, Trajectory
 
-from skd_adversary.car_models.car_model_file import FittedCar, fitted_car
+from skd_adversary.car_models.car_model_file import fitted_car
 from skd_adversary.crossing.cars import (
-    FOREST_WAITING_REWARD,
     CarModel,
-    ForestCar,
     LearnedCar,
     known_basic_car,
     unknown_car,
@@ -154,18 +152,6 @@ class ReplayAdversary:
         return velocity
 
 
-def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
-    """Return the model of a learned car with which kamikazes plan: its forest, if it has one, else its law.
-
-    Args:
-        car: what the logs showed.
-        known: what is known of it without them: which sensor goes with it.
-    """
-    if car.forest is None:
-        return LearnedCar(car, known)
-    return ForestCar(car.forest, known, FOREST_WAITING_REWARD if car.waiting_reward is None else car.waiting_reward)
-
-
 def predicted_car(episode: Episode) -> CarPrediction:
     """Return the model of the car with which an episode's adversary plans: by its knowledge, and the episode's mode.
 
@@ -177,7 +163,7 @@ def predicted_car(episode: Episode) -> CarPrediction:
     if episode.mode == Mode.SAFE and basic:  # C known, distance observed (paper, "Safe Trajectories")
         known = CarModel(episode.multiplier, episode.multiplier, observes_position=False)
     if episode.car_model:
-        return learned_car(fitted_car(episode.car_model), known)
+        return LearnedCar(fitted_car(episode.car_model), known)
     if episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.LEARNED:
         raise UsageError("knowledge learned needs a car model, and the episode carries none")
     return known

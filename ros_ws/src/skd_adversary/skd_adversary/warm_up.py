@@ -37,8 +37,6 @@ def any_car_models() -> list[str]:
         np.ones(1, dtype=np.uint32),
         gridded(np.zeros((1, len(TICK)))),
         np.ones(1, dtype=np.uint16),
-        time_step=step,
-        car_length=1.0,
     )
     return [car_model_text(law), car_model_text(replace(law, forest=one_leaf))]
 

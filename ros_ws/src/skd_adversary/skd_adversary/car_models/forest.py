@@ -8,7 +8,8 @@ trees' splits and the recorded ticks; which donors lie where follows.
 from __future__ import annotations
 
 import functools
-import struct
+import io
+import zipfile
 import zlib
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -35,8 +36,6 @@ FINE: Final = 1024.0
 """The same of changes of speed and residuals."""
 _LONGEST: Final = 8.0  # s
 _WIDEST: Final = 30.0  # m
-_MAGIC: Final = b"SKDF1\0"
-_BYTES: Final = struct.Struct("<6sddIIII")
 
 Array = npt.NDArray[Any]
 Pair = tuple[float, float]
@@ -152,9 +151,6 @@ def pack(
     sizes: npt.NDArray[np.uint32],
     ticks: npt.NDArray[np.int16],
     lengths: npt.NDArray[np.uint16],
-    *,
-    time_step: float,
-    car_length: float,
 ) -> CarForest:
     """Return a forest.
 
@@ -165,14 +161,12 @@ def pack(
         sizes: nodes per tree.
         ticks: n × 7, see `gridded`.
         lengths: ticks per episode.
-        time_step: duration of a tick, s.
-        car_length: length of the car, m.
     """
-    head = _BYTES.pack(_MAGIC, time_step, car_length, len(sizes), len(features), len(ticks), len(lengths))
-    arrays = (sizes.astype("<u4"), features.astype("i1"), thresholds.astype("<i2"), lengths.astype("<u2"))
     # Column by column, and differences: neighbouring ticks are alike.
-    columns = np.diff(ticks.astype(np.int32), axis=0, prepend=0).astype("<i2").T
-    return CarForest(zlib.compress(head + b"".join(one.tobytes() for one in arrays) + columns.tobytes(), 9))
+    columns = np.diff(ticks.astype(np.int32), axis=0, prepend=0).astype(np.int16).T
+    file = io.BytesIO()
+    np.savez_compressed(file, features=features, thresholds=thresholds, sizes=sizes, ticks=columns, lengths=lengths)
+    return CarForest(file.getvalue())
 
 
 @functools.lru_cache(maxsize=8)
@@ -183,18 +177,13 @@ def unpacked(packed: bytes) -> Trees:
         UsageError: they are none of `pack`.
     """
     try:
-        data = zlib.decompress(packed)
-        magic, _, _, trees, count, rows, episodes = _BYTES.unpack_from(data)
-    except (zlib.error, struct.error) as error:
+        with np.load(io.BytesIO(packed)) as file:
+            features, thresholds, sizes, columns, lengths = (
+                file[name] for name in ("features", "thresholds", "sizes", "ticks", "lengths")
+            )
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
         raise UsageError("forest of the car model: not as skd fit writes it") from error
-    if magic != _MAGIC:
-        raise UsageError("forest of the car model: not as skd fit writes it")
-    place, parts = _BYTES.size, []
-    for kind, size in (("<u4", trees), ("i1", count), ("<i2", (count - trees) // 2), ("<u2", episodes)):
-        parts.append(np.frombuffer(data, kind, size, place))
-        place += parts[-1].nbytes
-    sizes, features, thresholds, lengths = parts
-    kept = np.cumsum(np.frombuffer(data, "<i2", -1, place).reshape(len(TICK), rows), axis=1, dtype=np.int16).T
+    kept = np.cumsum(columns, axis=1, dtype=np.int16).T
     ticks = from_grid(kept)
     nodes = np.zeros((len(features), 4), dtype=np.float32)
     nodes[:, 0] = features
@@ -289,8 +278,6 @@ def grow(data: Observations, *, seed: int = 0) -> CarForest:
         np.array([tree.node_count for tree in grown], dtype=np.uint32),
         kept_ticks(data),
         lengths_of(data).astype(np.uint16),
-        time_step=data.time_step,
-        car_length=data.car_length,
     )
 
 

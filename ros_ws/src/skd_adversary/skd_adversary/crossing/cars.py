@@ -28,7 +28,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import draw_relative, next_speed, travelled
 
 from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FittedCar
-from skd_adversary.car_models.forest import CarForest, features_of, leaf_of
+from skd_adversary.car_models.forest import features_of, leaf_of
 from skd_adversary.crossing.parts import (
     ADVERSARY_X,
     ADVERSARY_Y,
@@ -307,47 +307,6 @@ _FITTED_KERNELS = CarKernels(
 )
 
 
-@dataclass(frozen=True)
-class LearnedCar:
-    """A car that behaves by the law that was fitted to its logs.
-
-    Attributes:
-        car: fitted law of the car, with its parameters.
-        known: what is known of the car without its logs; it gives the sensor.
-        kernels: kernels of how the predicted car moves.
-    """
-
-    car: FittedCar
-    known: CarModel
-    kernels: CarKernels = field(default=_FITTED_KERNELS, init=False)
-
-    @property
-    def sensor(self) -> SensorModel:
-        """Sensor by which the adversary sees the car."""
-        return self.known.sensor
-
-    def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
-        """Return the law of the car as numbers, and its priors: one row each, kind and two numbers (SI)."""
-        car = self.car
-        priors = np.zeros((len(_PRIORS), 3))
-        priors[_LIMIT, 1] = _NO_LIMIT
-        for row, name in enumerate(_PRIORS):
-            if name in car.parameters:
-                prior = car.parameters[name].prior
-                priors[row] = _KINDS[prior.distribution], prior.first, prior.second
-        spread = car.parameters["trigger_spread"]
-        kind = {"sharp": 0.0, "episode": 1.0, "tick": 2.0}[car.spread]
-        return {
-            **self.known.parameters(scenario),
-            "by_time": float(car.measure == "time"),
-            "gate": {"none": 0.0, "position": 1.0, "predicted": 2.0}[car.gate],
-            "spread_kind": kind,
-            "spread": float(spread.estimate if spread.estimate is not None else spread.prior.first) if kind else 0.0,
-            "priors": priors,
-            **({} if car.waiting_reward is None else {"waiting_reward": car.waiting_reward}),
-        }
-
-
 # State vector, beyond the crossing's own: velocity of the road user in the last tick, (right, along) of the road, m/s,
 # the last two changes of the car's speed, m/s, and the tree that expects. The crossing's TRIGGER, by which a default
 # policy tells whether the car brakes, says what it did last: there is no distance at which it begins to.
@@ -461,20 +420,21 @@ _FOREST_KERNELS = CarKernels(
 
 
 @dataclass(frozen=True)
-class ForestCar:
-    """A car that does in each situation what it was seen doing in similar ones.
+class LearnedCar:
+    """A car as its logs show it: by the forest that was learned, if there is one, else by the fitted law.
 
     Attributes:
-        forest: forest that was learned from what the car was seen doing.
-        known: what is known of the car without the forest; it gives the sensor.
-        waiting_reward: reward of a tick of waiting after φ's end, as `WAITING_REWARD`.
-        kernels: kernels of how the predicted car moves.
+        car: what the logs showed.
+        known: what is known of the car without its logs; it gives the sensor.
     """
 
-    forest: CarForest
+    car: FittedCar
     known: CarModel
-    waiting_reward: float = FOREST_WAITING_REWARD
-    kernels: CarKernels = field(default=_FOREST_KERNELS, init=False)
+
+    @property
+    def kernels(self) -> CarKernels:
+        """Kernels of how the predicted car moves."""
+        return _FITTED_KERNELS if self.car.forest is None else _FOREST_KERNELS
 
     @property
     def sensor(self) -> SensorModel:
@@ -482,12 +442,31 @@ class ForestCar:
         return self.known.sensor
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
-        """Return the forest."""
-        trees = self.forest.trees
-        return {
-            **self.known.parameters(scenario),
-            "waiting_reward": self.waiting_reward,
-            "forest_roots": trees.roots,
-            "forest_nodes": trees.nodes,
-            "forest_donors": trees.donors,
-        }
+        """Return the forest, or the law of the car as numbers and its priors, and the waiting reward."""
+        car = self.car
+        usual = WAITING_REWARD if car.forest is None else FOREST_WAITING_REWARD
+        waiting_reward = usual if car.waiting_reward is None else car.waiting_reward
+        known = {**self.known.parameters(scenario), "waiting_reward": waiting_reward}
+        if car.forest is None:
+            return known | _law_parameters(car)
+        roots, nodes, donors = car.forest.trees
+        return known | {"forest_roots": roots, "forest_nodes": nodes, "forest_donors": donors}
+
+
+def _law_parameters(car: FittedCar) -> dict[str, Any]:
+    """Return the law of a car as numbers, and its priors: one row each, kind and two numbers (SI)."""
+    priors = np.zeros((len(_PRIORS), 3))
+    priors[_LIMIT, 1] = _NO_LIMIT
+    for row, name in enumerate(_PRIORS):
+        if name in car.parameters:
+            prior = car.parameters[name].prior
+            priors[row] = _KINDS[prior.distribution], prior.first, prior.second
+    spread = car.parameters["trigger_spread"]
+    kind = {"sharp": 0.0, "episode": 1.0, "tick": 2.0}[car.spread]
+    return {
+        "by_time": float(car.measure == "time"),
+        "gate": {"none": 0.0, "position": 1.0, "predicted": 2.0}[car.gate],
+        "spread_kind": kind,
+        "spread": float(spread.estimate if spread.estimate is not None else spread.prior.first) if kind else 0.0,
+        "priors": priors,
+    }
