@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from models import ring
-from skd_adversary.pomdp.belief import RESAMPLE_BELOW, ParticleBelief, effective_sample_size, resample
+from skd_adversary.pomdp.belief import ParticleBelief, resample
 
 CELLS, FORWARD, STOP, SIGMA = 12, 0.7, 0.5, 1.5
 SCRIPT = [(1, 3.2), (1, 4.9), (2, 6.1), (3, 9.4), (1, 10.2), (2, 0.3), (1, 1.4), (0, 1.0)]
@@ -27,33 +27,6 @@ def _exact(script: list[tuple[int, float]]) -> np.ndarray:
 
 def _histogram(belief: ParticleBelief) -> np.ndarray:
     return np.bincount(belief.particles[:, 0].astype(int), weights=belief.weights, minlength=CELLS)
-
-
-def test_initial_belief_is_the_prior() -> None:
-    belief = ParticleBelief(ring(), 12_000, np.random.default_rng(0))
-    counts = np.bincount(belief.particles[:, 0].astype(int), minlength=CELLS)
-    chi_square = ((counts - 1000.0) ** 2 / 1000.0).sum()
-    assert chi_square < 31.3  # 0.1 % point of χ² with 11 degrees of freedom
-    np.testing.assert_array_equal(belief.weights, 1.0 / 12_000)
-
-
-def test_effective_sample_size() -> None:
-    assert effective_sample_size(np.full(8, 0.125)) == pytest.approx(8.0)
-    assert effective_sample_size(np.array([1.0, 0.0, 0.0])) == pytest.approx(1.0)
-    assert effective_sample_size(np.array([0.5, 0.5, 0.0, 0.0])) == pytest.approx(2.0)
-    weights = np.random.default_rng(3).dirichlet(np.ones(50))
-    assert effective_sample_size(weights) == pytest.approx(1.0 / (weights**2).sum())
-
-
-def test_it_resamples_below_the_threshold_only() -> None:
-    for sigma, resampled in ((100.0, False), (0.5, True)):
-        belief = ParticleBelief(ring(sigma=sigma), 1000, np.random.default_rng(1))
-        belief.predict(0)
-        weights = belief.weights * np.exp(-0.5 * ((6.0 - belief.particles[:, 0]) / sigma) ** 2)
-        weights /= weights.sum()
-        assert bool(effective_sample_size(weights) < RESAMPLE_BELOW * 1000) is resampled
-        belief.correct(0, np.array([6.0]))
-        np.testing.assert_allclose(belief.weights, 1e-3 if resampled else weights)
 
 
 def test_systematic_resampling_copies_floor_or_ceiling() -> None:
@@ -79,15 +52,6 @@ def test_resampling_stays_within_the_particles_where_weights_sum_to_less_than_on
     for seed in range(20):
         copies = _copies(np.array([0.25, 0.25, 0.25, 0.0]), np.random.default_rng(seed))
         assert copies.tolist() == [1, 1, 1, 1]
-
-
-def test_systematic_resampling_is_unbiased() -> None:
-    rng = np.random.default_rng(5)
-    weights = np.array([0.03, 0.0, 0.31, 0.11, 0.0, 0.2, 0.35, 0.0])
-    n, runs = len(weights), 20_000
-    mean = sum(_copies(weights, rng) for _ in range(runs)) / runs
-    fraction = n * weights % 1.0  # the number of copies is its floor, plus one with this probability
-    assert (np.abs(mean - n * weights) <= 4.5 * np.sqrt(fraction * (1.0 - fraction) / runs) + 1e-12).all()
 
 
 def test_a_particle_that_ends_the_episode_has_no_weight() -> None:

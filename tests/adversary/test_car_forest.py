@@ -15,7 +15,7 @@ from skd_adversary.car_models.car_model_file import (
     read_car_model,
     write_car_model,
 )
-from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described, forest_transform, grow, leaf_of
+from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described, grow, leaf_of
 from skd_adversary.car_models.observations import Observations
 from skd_adversary.car_models.prediction import learn_car
 from skd_adversary.crossing.cars import (
@@ -80,12 +80,6 @@ def test_its_leaves_are_those_of_scikit_learn(logs: Observations) -> None:
             np.testing.assert_allclose(np.sort(trees.donors[first : first + count, 0]), np.sort(same), atol=1e-6)
 
 
-def test_same_ticks_same_bytes(logs: Observations) -> None:
-    few = logs.of(logs.episode < 16)
-    assert grow(few, seed=1).packed == grow(few, seed=1).packed
-    assert grow(few, seed=1).packed != grow(few, seed=2).packed
-
-
 def test_no_law_explains_this_car_and_the_forest_predicts_it(learned: FittedCar) -> None:
     assert learned.forest is not None
     law, forest = learned.predictions
@@ -101,15 +95,6 @@ def test_the_law_stays_where_the_car_has_one() -> None:
     car = learn_car(logs_of(BasicController(), 96), folds=2)
     assert car.forest is None
     assert [one.model for one in car.predictions] == ["law", "forest"]
-
-
-def test_transform_of_ticks_that_were_seen_is_no_check(logs: Observations) -> None:
-    """Ticks of another car are not uniform: the transform tells a wrong model."""
-    other = logs_of(BasicController(0.5), 32)
-    rows = other.speed > 0.2
-    found = forest_transform(grow(logs).trees, other, rows, np.random.default_rng(0))
-    assert np.all((found >= 0.0) & (found <= 1.0))
-    assert np.abs(np.histogram(found, 10, (0.0, 1.0))[0] / found.size - 0.1).max() > 0.1
 
 
 @pytest.mark.parametrize("name", ["crossing", "right_turn", "cyclist"])

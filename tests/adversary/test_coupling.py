@@ -37,10 +37,3 @@ def test_last_entry_is_the_discrete_frechet_distance_to_each_prefix(
         for j in range(len(phi)):
             expected = frechet_dist(phi[: j + 1], walked[:count])
             assert math.sqrt(state[BEGIN + j]) == pytest.approx(expected, abs=1e-9)
-
-
-@given(path=curve, psi=curve)
-def test_the_least_entry_never_falls(path: list[tuple[float, float]], psi: list[tuple[float, float]]) -> None:
-    """Hence it bounds the distance of every continuation from below."""
-    least = [row[BEGIN:].min() for row in _rows(np.array(path), np.array(psi))]
-    assert least == sorted(least)

@@ -14,17 +14,15 @@ from skd_adversary.crossing.model import compose, transition_parts
 from skd_adversary.crossing.objectives import PAPER
 from skd_adversary.crossing.parts import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.crossing.path import polyline_distance, polyline_segments
-from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, PEDESTRIAN, action_velocity, road_user_named
+from skd_adversary.crossing.road_users import EAST, PEDESTRIAN, action_velocity, road_user_named
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.controllers import BasicController
-from skd_sim.errors import UsageError
 from skd_sim.scenario.road import road_position
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")
-ACTIONS = range(ACTION_COUNT)
 
 
 def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
@@ -160,19 +158,6 @@ def test_initial_state_covers_the_start_range_and_the_prior() -> None:
     kappa = CROSSING.car.safe_distance
     for column, low, width in ((CAR_S, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
         assert stats.kstest(states[:, column], "uniform", args=(low, width)).pvalue > 1e-3
-
-
-@pytest.mark.parametrize(("low", "high"), [(-0.1, 1.0), (1.0, 0.5), (0.0, math.inf), (math.nan, 1.0)])
-def test_impossible_car_models(low: float, high: float) -> None:
-    with pytest.raises(UsageError, match="car model needs 0 ≤ low ≤ high"):
-        CarModel(low, high, observes_position=True)
-
-
-def test_actions_move_at_one_speed_or_stay() -> None:
-    velocities = np.array([action_velocity(action, 2.5) for action in ACTIONS])
-    np.testing.assert_allclose(np.hypot(*velocities.T), [2.5] * 5 + [0.0])
-    d = 2.5 / math.sqrt(2.0)
-    np.testing.assert_allclose(velocities, [(0, 2.5), (0, -2.5), (2.5, 0), (d, d), (d, -d), (0, 0)], atol=1e-12)
 
 
 # In micrometres: shapely's distance to a segment of 1e-180 m is infinite.

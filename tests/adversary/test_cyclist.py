@@ -25,11 +25,9 @@ from skd_adversary.crossing.road_users import (
     KEEP,
     LEFT,
     RIGHT,
-    road_user_named,
 )
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome
@@ -152,8 +150,3 @@ def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
         assert recompute(log).deviation <= ROUNDING
         hits += log.outcome == Outcome.COLLISION
     assert hits >= 3
-
-
-def test_an_unknown_kind_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"kind: unknown road user 'horse'; known are pedestrian, "):
-        road_user_named("horse")

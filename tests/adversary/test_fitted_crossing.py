@@ -23,9 +23,9 @@ from skd_adversary.car_models.car_model_file import (
 from skd_adversary.crossing import cars, parts
 from skd_adversary.crossing.cars import DECELERATION, DELAY, LearnedCar, known_basic_car
 from skd_adversary.crossing.model import compose
-from skd_adversary.crossing.objectives import FRECHET, PAPER
+from skd_adversary.crossing.objectives import PAPER
 from skd_adversary.crossing.parts import bound
-from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, NORTH_EAST, STAY
+from skd_adversary.crossing.road_users import ACTION_COUNT, STAY
 from skd_adversary.crossing.roads import STRAIGHT
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_sim.errors import UsageError
@@ -77,28 +77,6 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
         )
         assert fitted.step(fitted.parameters, state, action, other, np.random.default_rng(seed)) == expected
         np.testing.assert_array_equal(other[: basic.state_dim], one)
-
-
-def test_so_it_is_for_the_frechet_objective_whose_state_has_a_row_behind():
-    start, known = (-3.5, 0.0), known_basic_car(9.0 / SCENARIO.car.safe_distance)
-    basic, fitted = (
-        compose(SCENARIO, FRECHET, car, start=start, gap=13.0, path=PATH) for car in (known, LearnedCar(a_car(), known))
-    )
-    extra = fitted.state_dim - basic.state_dim
-    one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
-    basic.initial(basic.parameters, one, np.random.default_rng(1))
-    fitted.initial(fitted.parameters, other, np.random.default_rng(1))
-    rng = np.random.default_rng(4)
-    for seed in range(40):
-        np.testing.assert_array_equal(other[: parts.STATE_DIM], one[: parts.STATE_DIM])
-        np.testing.assert_array_equal(other[parts.STATE_DIM + extra :], one[parts.STATE_DIM :])
-        action = int(rng.choice([EAST, NORTH_EAST, STAY]))
-        after, other_after = np.zeros_like(one), np.zeros_like(other)
-        expected = basic.step(basic.parameters, one, action, after, np.random.default_rng(seed))
-        assert fitted.step(fitted.parameters, other, action, other_after, np.random.default_rng(seed)) == expected
-        if expected[1]:
-            break
-        one, other = after, other_after
 
 
 def test_delayed_car_brakes_later():

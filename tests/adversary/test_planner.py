@@ -168,23 +168,6 @@ def test_it_gathers_information_from_continuous_observations(p_right: float) -> 
         assert _shares(model, p_right, options, 20)[LISTEN] >= 0.85
 
 
-def test_same_generator_same_actions() -> None:
-    def play(seed: int) -> tuple[list[int], bytes]:
-        rng = np.random.default_rng(seed)
-        model = tiger(gaussian=True)
-        belief = ParticleBelief(model, 200, rng)
-        planner = Planner(model, PlannerOptions(simulations=300, depth=10, exploration=50.0), rng)
-        actions = []
-        for heard in (0.7, -0.2, 1.4, 0.9, 0.1):
-            actions.append(planner.plan(belief))
-            belief.predict(actions[-1])
-            belief.correct(actions[-1], np.array([heard]))
-        return actions, planner.values.tobytes() + planner.visits.tobytes()
-
-    assert play(1) == play(1)
-    assert play(1)[1] != play(2)[1]
-
-
 @pytest.mark.parametrize("backup", list(Backup))
 def test_the_subtree_of_what_was_done_and_heard_is_kept(backup: Backup) -> None:
     """Visits below the child are those of the child: the search goes on from there."""
