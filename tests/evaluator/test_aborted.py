@@ -15,7 +15,7 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.episodes_npz import _risk_columns, read_episodes
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.files.verification import rating_of
+from skd_evaluator.assessment.files.verification import assessment_from_file
 from skd_evaluator.assessment.options import WALKERS
 from skd_evaluator.assessment.stages.kamikazes import bounded_point
 from skd_evaluator.errors import AssessmentError
@@ -288,7 +288,7 @@ def test_a_risk_whose_subset_simulation_was_aborted_is_not_known(tmp_path: Path)
     (check,) = check_limits(content, [Limit("risk_1", 0.9, is_least=False)])
     assert check.error
     write_assessment(tmp_path, found)
-    assert rating_of(content, read_episodes(tmp_path)).as_dict()["risk_1"] is None
+    assert assessment_from_file(content, read_episodes(tmp_path)).as_dict()["risk_1"] is None
     assert "risk_lost" not in {*_risk_columns(with_risk(Touch.NONE))}  # of a car without any the file is as ever
 
 

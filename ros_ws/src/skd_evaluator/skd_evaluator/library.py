@@ -115,15 +115,15 @@ def assess(
             progress=progress or silent,
             fresh=fresh_process,
         )
-        rating = assess_in_process(context, Assessment(plan, provenance=origin))
-        seconds, failed = time.perf_counter() - begin, with_failures(rating, values["max_aborted"] / 100.0)
-        rating = replace(failed, seconds=seconds)
+        assessment = assess_in_process(context, Assessment(plan, provenance=origin))
+        seconds, failed = time.perf_counter() - begin, with_failures(assessment, values["max_aborted"] / 100.0)
+        assessment = replace(failed, seconds=seconds)
         if folder is not None:
-            folder.write(lambda where: fill(where, rating))
-    said = [*not_credible(rating.warnings), *why_failed(rating, 1.0), *aborted_lines(rating)]
+            folder.write(lambda where: fill(where, assessment))
+    said = [*not_credible(assessment.warnings), *why_failed(assessment, 1.0), *aborted_lines(assessment)]
     for line in dict.fromkeys(said):
         warnings.warn(line, stacklevel=2)
-    return rating
+    return assessment
 
 
 def load_result(folder: str | Path) -> Result:

@@ -110,9 +110,9 @@ class Assessed:
         folder: folder with all of it.
     """
 
-    def __init__(self, rating: Assessment, folder: Path) -> None:
-        """Take a rating, which is written already."""
-        self.figures: dict[str, Any] = rating.as_dict()
+    def __init__(self, assessment: Assessment, folder: Path) -> None:
+        """Take an assessment, which is written already."""
+        self.figures: dict[str, Any] = assessment.as_dict()
         self.folder = folder
 
     def __getattr__(self, name: str) -> Any:
@@ -175,10 +175,10 @@ class Skd:
         key = f"{controller} {sorted(options.items())!r}"
         if key not in self._kept:
             folder = self._out / f"{len(self._kept)}"
-            rating = assess(controller, out=folder, **options)
-            self._kept[key] = Assessed(rating, folder)
+            assessment = assess(controller, out=folder, **options)
+            self._kept[key] = Assessed(assessment, folder)
             lines = not_credible(self._kept[key].figures.get("warnings") or ())
-            self._failed[key] = "; ".join([*lines, *filter(None, [undefined(rating)])])
+            self._failed[key] = "; ".join([*lines, *filter(None, [undefined(assessment)])])
         if why := self._failed[key]:
             raise AssessmentError(f"{controller}: {why}. See {self._kept[key].folder}")
         return self._kept[key]

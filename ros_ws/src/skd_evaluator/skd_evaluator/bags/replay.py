@@ -65,7 +65,7 @@ def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
     return max(1, *(max(len(group.logs), group.trials // TRIALS_PER_REQUESTED) for group in groups))
 
 
-def rating_from(
+def assessment_from_logs(
     recorded: RecordedEpisodes,
     *,
     campaign: str | None = None,
@@ -73,7 +73,7 @@ def rating_from(
     seconds: float = 0.0,
     damage: Damage | None = None,
 ) -> Assessment:
-    """Compute the rating of recorded episodes, by every objective of which there are kamikazes.
+    """Compute the assessment of recorded episodes, by every objective of which there are kamikazes.
 
     Args:
         recorded: what the recordings hold, as `read_bags` returns it.
@@ -133,15 +133,17 @@ def rating_from(
             "maximum_distance": maximum_distance or first.maximum_distance,
         },
     )
-    rating = replace(assessment_of(plan, [group.safe_trajectory for group in ordered], sets, replays), seconds=seconds)
+    assessment = replace(
+        assessment_of(plan, [group.safe_trajectory for group in ordered], sets, replays), seconds=seconds
+    )
     stands = standing(plan.controller, replays)
-    lost = aborted_lines(rating.as_dict()) if rating.reasons else []
+    lost = aborted_lines(assessment.as_dict()) if assessment.reasons else []
     if damage is None:
-        return replace(rating, warnings=(*lost, *stands))
+        return replace(assessment, warnings=(*lost, *stands))
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = unfinished_episodes(unfinished)
-    reached = {str(one.plan.objective): one.successes_by_phi for one in rating.results}
+    reached = {str(one.plan.objective): one.successes_by_phi for one in assessment.results}
     wanted = max((count for counts in reached.values() for count in counts), default=0)
     for objective in objectives:
         own = [name.episode_id for name in announced if name.objective in ("", objective)]
@@ -153,4 +155,4 @@ def rating_from(
     lines += not_credible_beside(recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
-    return replace(rating, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *stands))
+    return replace(assessment, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *stands))

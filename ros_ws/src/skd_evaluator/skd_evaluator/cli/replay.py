@@ -13,7 +13,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner, available_work
 from skd_evaluator.assessment.stages import margin
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.read import read_bags
-from skd_evaluator.bags.replay import rating_from
+from skd_evaluator.bags.replay import assessment_from_logs
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.gate import Gate, gate_of
@@ -37,7 +37,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     damage = Damage(skip=arguments.skip_damaged)
     recorded = read_bags(arguments.paths, damage)
     try:
-        rating = rating_from(
+        assessment = assessment_from_logs(
             recorded,
             campaign=arguments.campaign,
             maximum_distance=arguments.maximum_distance,
@@ -48,7 +48,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         say_left_out("replay", damage)  # where nothing is left to assess, it says why
         raise
     say_damage("replay", damage)
-    plan = rating.plan
+    plan = assessment.plan
     known = has_exact_margin(plan.car, plan.scenario) or plan.car.is_own
     if known:
         if arguments.margin_limit:
@@ -56,10 +56,10 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
             runner.start(())
             context = Context(runner, runner, margin_limit=arguments.margin_limit, progress=progress, repeats=False)
-            rating = margin.run(context, rating)
+            assessment = margin.run(context, assessment)
     else:
-        rating = replace(rating, margin_note=margin.NEEDS_THE_CAR)
-    origin = provenance(arguments.command_line, rating.plan.car)
-    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
-    problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, arguments, gate, problem, damage.warnings)
+        assessment = replace(assessment, margin_note=margin.NEEDS_THE_CAR)
+    origin = provenance(arguments.command_line, assessment.plan.car)
+    assessment = replace(assessment, provenance=origin, seconds=time.perf_counter() - begin)
+    problem = out.save(lambda folder: fill(folder, assessment))
+    return print_result(assessment, out, arguments, gate, problem, damage.warnings)

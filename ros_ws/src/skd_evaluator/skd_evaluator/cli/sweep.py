@@ -40,8 +40,8 @@ _SPEARMAN = {
 }  # fmt: skip
 
 
-def _row(kind: str, rating: Assessment) -> dict[str, Any]:
-    result = rating.as_dict()
+def _row(kind: str, assessment: Assessment) -> dict[str, Any]:
+    result = assessment.as_dict()
     return {"kind": kind, **{name: result[name] for name in _COLUMNS[1:]}}
 
 
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = plans["synthetic"]
     origin = provenance(arguments.command_line, asked.car)
     risk = risk_request(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
-    ratings: list[tuple[str, Assessment]] = []
+    assessments: list[tuple[str, Assessment]] = []
     try:
         with runner_of(arguments) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
@@ -109,19 +109,19 @@ def run(arguments: argparse.Namespace) -> int:
 
                         car = replace(plan, multiplier=value)
                         begun = Assessment(car, tuple(safe), provenance=origin)
-                        ratings.append((kind, run_stages(replace(context, progress=labelled), begun)))
+                        assessments.append((kind, run_stages(replace(context, progress=labelled), begun)))
     except KeyboardInterrupt:
-        if not ratings:
+        if not assessments:
             raise
-        print_table(sweep_table([_row(kind, rating) for kind, rating in ratings]))
-        cars = f"{len(ratings)} of {len(plans) * len(multipliers)} cars"
+        print_table(sweep_table([_row(kind, assessment) for kind, assessment in assessments]))
+        cars = f"{len(assessments)} of {len(plans) * len(multipliers)} cars"
         print(
             f"skd sweep: interrupted; nothing was written. What is above is of {cars}; the same command begins anew "
             "and gives the same",
             file=sys.stderr,
         )
         return EXIT_INTERRUPTED
-    rows = [_row(kind, rating) for kind, rating in ratings]
+    rows = [_row(kind, assessment) for kind, assessment in assessments]
     spearman = {
         kind: {value: _spearman([row for row in rows if row["kind"] == kind], value) for value in _SPEARMAN}
         for kind in kinds
@@ -138,10 +138,10 @@ def run(arguments: argparse.Namespace) -> int:
     def write(folder: Path) -> None:
         from skd_evaluator.report.charts import save_sweep
 
-        for kind, rating in ratings:
-            part = folder / kind / _folder_name(rating.plan.multiplier)
+        for kind, assessment in assessments:
+            part = folder / kind / _folder_name(assessment.plan.multiplier)
             part.mkdir(parents=True)
-            fill(part, rating)
+            fill(part, assessment)
         write_json(folder / "sweep.json", summary)
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)
@@ -159,13 +159,14 @@ def run(arguments: argparse.Namespace) -> int:
             print("Recorded safe trajectories were not asked for: add --safe PATH (docs/start/research.md).")
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
-    for kind, rating in ratings:
-        for line in warnings_of(rating, planned=False):
-            print(f"skd sweep: warning: {kind}, C = {rating.plan.multiplier:g}: {line}", file=sys.stderr)
+    for kind, assessment in assessments:
+        for line in warnings_of(assessment, planned=False):
+            print(f"skd sweep: warning: {kind}, C = {assessment.plan.multiplier:g}: {line}", file=sys.stderr)
     failures = [problem] if problem else []
-    for kind, rating in ratings:
+    for kind, assessment in assessments:
         failures += [
-            f"{kind}, C = {rating.plan.multiplier:g}: {why}" for why in why_failed(rating, arguments.max_aborted)
+            f"{kind}, C = {assessment.plan.multiplier:g}: {why}"
+            for why in why_failed(assessment, arguments.max_aborted)
         ]
     for why in failures:
         print(f"skd sweep: {why}", file=sys.stderr)

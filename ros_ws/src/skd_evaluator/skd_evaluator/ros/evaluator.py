@@ -86,21 +86,21 @@ def _ends(ends: Sequence[float | None], text: str) -> list[float]:
     return [side if end is None else end for end, side in zip(ends, sides, strict=True)]
 
 
-def assessment_to_message(rating: Assessment, campaign: str, stamp: int) -> AssessmentMsg:
+def assessment_to_message(assessment: Assessment, campaign: str, stamp: int) -> AssessmentMsg:
     """Return the message of an assessment published at simulation time `stamp` (ns).
 
     A field has the figure of its name. Figures that are not credible are not defined: whoever reads a message sees no
     warning beside it.
     """
-    settings, unsaid = keys_of(Of.SETTING), not rating.credible
-    result = rating.as_dict()
+    settings, unsaid = keys_of(Of.SETTING), not assessment.credible
+    result = assessment.as_dict()
     name = "equivalent_multiplier"
     text, interval = result[f"{name}_text"], result[f"{name}_ci95_text"]
     equivalent = {
         name: figure(result, name) if text else None,
         f"{name}_ci95": _ends(result[f"{name}_ci95"], interval) if interval else None,
     }
-    found = {**result, **equivalent, "campaign": campaign, "scenario_name": rating.plan.scenario.name}
+    found = {**result, **equivalent, "campaign": campaign, "scenario_name": assessment.plan.scenario.name}
     message = AssessmentMsg()
     for field, kind in message.get_fields_and_field_types().items():
         if field != "header":
@@ -546,9 +546,9 @@ class Evaluator(GraphNode):
         composed = self._composed.problem() if self._composed is not None else None
         return " and ".join(filter(None, (self._check_processes(), composed))) or None
 
-    def publish_assessment(self, rating: Assessment) -> None:
+    def publish_assessment(self, assessment: Assessment) -> None:
         """Publish an assessment, latched, and see that it reaches who listens."""
-        self._assessment_publisher.publish(assessment_to_message(rating, self._campaign, self._next_start))
+        self._assessment_publisher.publish(assessment_to_message(assessment, self._campaign, self._next_start))
         self._assessment_publisher.wait_for_all_acked(Duration(seconds=1))
 
 

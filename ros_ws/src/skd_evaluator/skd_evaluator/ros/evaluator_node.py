@@ -148,26 +148,26 @@ class EvaluatorProcess(Evaluator):
             repeats=False,
             fresh=lambda: nullcontext(self),
         )
-        rating = run_stages(context, Assessment(plan, provenance=origin))
-        self.publish_assessment(rating)
-        rating = replace(rating, seconds=time.perf_counter() - begin)
-        write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
-        for line in warnings_of(rating):
+        assessment = run_stages(context, Assessment(plan, provenance=origin))
+        self.publish_assessment(assessment)
+        assessment = replace(assessment, seconds=time.perf_counter() - begin)
+        write_with_scratch(self._out, scratch, lambda folder: fill(folder, assessment))
+        for line in warnings_of(assessment):
             self.get_logger().warning(line)
-        failures = why_failed(rating, self._settings["max_aborted"] / 100.0)
+        failures = why_failed(assessment, self._settings["max_aborted"] / 100.0)
         for why in failures:
             self.get_logger().error(f"{why}; results in {self._out.path}")
         if failures:
             return 1
-        result = rating.as_dict()
+        result = assessment.as_dict()
         figures = [
             f"{name} {result[key]:.3f} m, 95 % by φ [{low:.3f}, {high:.3f}]"
             for name, key in (("deviation", "deviation"), ("SKD", "skd"))
             for low, high in [result[f"{key}_ci95"] or (float("nan"), float("nan"))]
         ]
-        rate = "unknown" if rating.contact_rate is None else f"{100 * rating.contact_rate:.1f} %"
+        rate = "unknown" if assessment.contact_rate is None else f"{100 * assessment.contact_rate:.1f} %"
         self.get_logger().info(
-            f"{'; '.join(figures)}; {rating.trials} kamikaze episodes; contact rate along φ {rate}; results in "
+            f"{'; '.join(figures)}; {assessment.trials} kamikaze episodes; contact rate along φ {rate}; results in "
             f"{self._out.path}"
         )
         return 0

@@ -158,9 +158,9 @@ class GraphPool:
         finally:
             self._idle.put(evaluator)
 
-    def publish_assessment(self, rating: Assessment) -> None:
+    def publish_assessment(self, assessment: Assessment) -> None:
         """Publish an assessment in the first graph's domain."""
-        self._evaluators[0].publish_assessment(rating)
+        self._evaluators[0].publish_assessment(assessment)
 
     def close(self) -> None:
         """Wait for the episodes that are running, and begin no other."""

@@ -104,8 +104,8 @@ _NOWHERE = (math.nan, math.nan)
 Columns = dict[str, Any]  # name → array; numpy's savez would take one of arrays for its own options
 
 
-def write_episodes(path: Path | IO[bytes], rating: Assessment) -> None:
-    """Write every trajectory of a rating; docs/files.md says what each array holds.
+def write_episodes(path: Path | IO[bytes], assessment: Assessment) -> None:
+    """Write every trajectory of an assessment; docs/files.md says what each array holds.
 
     First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its trials, those that
     failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
@@ -113,14 +113,14 @@ def write_episodes(path: Path | IO[bytes], rating: Assessment) -> None:
     deviation, which nobody has planned.
     """
     rows: list[tuple[EpisodeLog, int, str]] = []  # with the number of φ and the objective
-    for index, phi in enumerate(rating.safe):
+    for index, phi in enumerate(assessment.safe):
         nowhere = np.full((len(phi), 3), np.nan)  # Φ was recorded, or made against another car
-        episode = Episode(rating.plan.scenario, Mode.SAFE, rating.plan.seed, 0)
+        episode = Episode(assessment.plan.scenario, Mode.SAFE, assessment.plan.seed, 0)
         rows.append((EpisodeLog(episode, Outcome.ARRIVED, phi.positions, nowhere, math.nan, math.nan), index, ""))
-    for assessment in rating.results:
-        for index, kamikaze in enumerate(assessment.kamikaze):
-            rows += [(log, index, str(assessment.plan.objective)) for log in kamikaze.in_order]
-    rows += [(log, _index_of(rating, log), "") for log in rating.nominal_runs]
+    for result in assessment.results:
+        for index, kamikaze in enumerate(result.kamikaze):
+            rows += [(log, index, str(result.plan.objective)) for log in kamikaze.in_order]
+    rows += [(log, _index_of(assessment, log), "") for log in assessment.nominal_runs]
     logs = [log for log, _, _ in rows]
     columns = episode_columns(logs)
     if any(log.belief is not None for log in logs):
@@ -132,10 +132,10 @@ def write_episodes(path: Path | IO[bytes], rating: Assessment) -> None:
         **columns,
         safe_index=np.array([index for _, index, _ in rows], np.int32),
         objective=np.array([objective for _, _, objective in rows], "U16"),
-        safe_name=_texts([one.name for one in rating.safe]),
-        **_margin_columns(rating),
-        **_risk_columns(rating),
-        **_settings(rating),
+        safe_name=_texts([one.name for one in assessment.safe]),
+        **_margin_columns(assessment),
+        **_risk_columns(assessment),
+        **_settings(assessment),
     )
 
 
@@ -175,25 +175,25 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     }
 
 
-def _index_of(rating: Assessment, log: EpisodeLog) -> int:
+def _index_of(assessment: Assessment, log: EpisodeLog) -> int:
     """Return the number of the φ that a run is along; recordings need not have every φ, so it may not be its own."""
     phi, number = log.episode.safe_trajectory, split_episode_id(log.episode.episode_id)[1]
     assert phi is not None
-    alike = [k for k, one in enumerate(rating.safe) if np.array_equal(one.positions, phi.positions)]
+    alike = [k for k, one in enumerate(assessment.safe) if np.array_equal(one.positions, phi.positions)]
     return number if number in alike else alike[0]
 
 
-def _settings(rating: Assessment) -> Columns:
+def _settings(assessment: Assessment) -> Columns:
     """Return what the figures depend on beside the trajectories."""
-    plan = rating.plan
+    plan = assessment.plan
     return {
         "time_step": np.array(plan.scenario.time_step),
         "eta_max": np.array(plan.scenario.eta_max),
         "hit_speed": np.array(plan.scenario.collision.hit_speed),
         "maximum_distance": np.array(math.nan if plan.maximum_distance is None else plan.maximum_distance),
         "seed": np.array(plan.seed, np.int64),
-        "objectives": _texts([str(one.plan.objective) for one in rating.results]),
-        "plans_deviation": np.array([one.plan.limits_deviation for one in rating.results]),
+        "objectives": _texts([str(one.plan.objective) for one in assessment.results]),
+        "plans_deviation": np.array([one.plan.limits_deviation for one in assessment.results]),
     }
 
 
@@ -219,14 +219,14 @@ def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
     return np.array(texts, f"U{max(1, *map(len, texts))}" if texts else "U1")
 
 
-def _margin_columns(rating: Assessment) -> Columns:
+def _margin_columns(assessment: Assessment) -> Columns:
     """Return the least way of each trial of the margin, φ by φ; nothing where the margin is not known.
 
     A trial without a way has no position, and counts as η_max.
     """
-    if rating.margins is None:
+    if assessment.margins is None:
         return {}
-    rows = [(index, trial, way) for index, ways in enumerate(rating.margins.hits) for trial, way in enumerate(ways)]
+    rows = [(index, trial, way) for index, ways in enumerate(assessment.margins.hits) for trial, way in enumerate(ways)]
     ways = [way for _, _, way in rows]
     lengths = [0 if way is None else len(way.trajectory) for way in ways]
     return {
@@ -249,17 +249,17 @@ def _contact_ticks(risk: ScaleRisk) -> npt.NDArray[np.int32]:
     return np.where(risk.touches == Touch.FRONT, ticks, 0).astype(np.int32)
 
 
-def _risk_columns(rating: Assessment) -> Columns:
+def _risk_columns(assessment: Assessment) -> Columns:
     """Return how the crossings of the risk ended, scale by scale; nothing where the risk is not known.
 
     What subset simulation estimates on each φ is replicates × φ, nan at scales at which it was not asked.
     """
-    if rating.risks is None:
+    if assessment.risks is None:
         return {}
-    scales = rating.risks.scales
+    scales = assessment.risks.scales
     subsets = [one.subsets for one in scales]
     replicates = max((len(one.levels) for one in subsets if one is not None), default=0)
-    shares, levels = np.full((replicates, len(rating.safe)), math.nan), np.zeros(replicates, np.int64)
+    shares, levels = np.full((replicates, len(assessment.safe)), math.nan), np.zeros(replicates, np.int64)
     return {
         "risk_scale": np.array([one.scale for one in scales]),
         "risk_touch": np.array([one.touches for one in scales], np.int8).reshape(-1),
@@ -269,7 +269,7 @@ def _risk_columns(rating: Assessment) -> Columns:
         "risk_open": np.array([0 if one is None else one.open_levels for one in subsets], np.int64),
         "risk_tick": np.concatenate([_contact_ticks(one) for one in scales]),
         **({"risk_lost": np.array([one.lost for one in scales], np.int64)} if any(one.lost for one in scales) else {}),
-        **(failure_columns(rating.risks.failing) if rating.risks.failing else {}),
+        **(failure_columns(assessment.risks.failing) if assessment.risks.failing else {}),
     }
 
 

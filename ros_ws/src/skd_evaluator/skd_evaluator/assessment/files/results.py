@@ -206,12 +206,12 @@ def _distances(
     return tuple(distances), tuple(prefixes)
 
 
-def write_assessment(folder: Path, rating: Assessment) -> None:
+def write_assessment(folder: Path, assessment: Assessment) -> None:
     """Write assessment.json, episodes.npz and surrogate_measures.csv."""
-    write_json(folder / "assessment.json", rating.as_dict())
-    write_episodes(folder / "episodes.npz", rating)
+    write_json(folder / "assessment.json", assessment.as_dict())
+    write_episodes(folder / "episodes.npz", assessment)
     with (folder / SURROGATES).open("w", encoding="utf-8") as file:
-        rating.surrogates.write_csv(file)
+        assessment.surrogates.write_csv(file)
 
 
 def episode_summary(log: EpisodeLog) -> dict[str, Any]:

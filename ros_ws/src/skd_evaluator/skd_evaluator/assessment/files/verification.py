@@ -1,7 +1,7 @@
 """`skd verify`: whether the files of a result are what was written, and whether its figures follow from its episodes.
 
-The rating is computed again from episodes.npz by the functions that computed it first. Nothing that the file names is
-imported. What a car is called, how much was searched and what was requested stay what assessment.json says of them.
+The assessment is computed again from episodes.npz by the functions that computed it first. Nothing that the file names
+is imported. What a car is called, how much was searched and what was requested stay what assessment.json says of them.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class _StoredPlan(Plan):
         return self.plans[str(self.objective)]
 
 
-def rating_of(figures: Mapping[str, Any], stored: StoredEpisodes) -> Assessment:
-    """Return the rating that stored episodes give.
+def assessment_from_file(figures: Mapping[str, Any], stored: StoredEpisodes) -> Assessment:
+    """Return the assessment that stored episodes give.
 
     Args:
         figures: content of assessment.json, of which scenario, confidence and how the margin was searched are taken.
@@ -88,11 +88,11 @@ def rating_of(figures: Mapping[str, Any], stored: StoredEpisodes) -> Assessment:
             for phi, mine in zip(safe, rows, strict=True)
         ]
     confidence = _confidence(figures)
-    rating = assessment_of(plan, safe, sets, replays, confidence)
+    assessment = assessment_of(plan, safe, sets, replays, confidence)
     margins = _stored_margins(figures, stored, scenario, confidence)
     risks = stored_risks(figures, stored, confidence)
     seconds = float(figures["seconds"])
-    return replace(rating, seconds=seconds, margins=margins, risks=risks and with_failures(risks, stored, scenario))
+    return replace(assessment, seconds=seconds, margins=margins, risks=risks and with_failures(risks, stored, scenario))
 
 
 def _confidence(figures: Mapping[str, Any]) -> float:
@@ -242,7 +242,7 @@ def verify(folder: Path) -> Verified:
             figures, stored = read_figures(folder), read_episodes(folder)
             remarks += not_credible(figures.get("warnings") or ())
             with understood(folder / ASSESSMENT):
-                found = json.loads(json.dumps(rating_of(figures, stored).as_dict()))
+                found = json.loads(json.dumps(assessment_from_file(figures, stored).as_dict()))
                 agree, contradict = _compared(figures, found)
             for reason, rows in _not_from_episodes(figures).items():
                 unknown[reason] = rows

@@ -178,7 +178,7 @@ class Campaign:
             problem: BaseException | None = None
             try:
                 while not self._stop.is_set() and (cell := waiting.get()) is not None:
-                    self._trial(cell, partial(self._rate, cell, runner, whole.of(cell)))
+                    self._trial(cell, partial(self._assess, cell, runner, whole.of(cell)))
             except StoppedError:
                 pass
             except BaseException as error:
@@ -215,7 +215,7 @@ class Campaign:
         """Run the cells of the node graph, one after the other, each in `graphs` graphs side by side."""
         whole = _OverallProgress(self.through_graph, progress)
         for cell in self.through_graph:
-            self._trial(cell, partial(self._rate_graph, cell, graphs, whole.of(cell)))
+            self._trial(cell, partial(self._assess_graph, cell, graphs, whole.of(cell)))
         with self._lock:
             self._save()
 
@@ -233,7 +233,7 @@ class Campaign:
                 self._save(at_once=False)
                 self.told(self._row_of(cell))
 
-    def _rate(
+    def _assess(
         self, cell: Cell, runner: Workers, progress: Progress, finish: Callable[[Assessment, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
@@ -241,17 +241,17 @@ class Campaign:
         context = Context(
             storing, runner, progress=progress, fresh=partial(fresh_process, cell.answer_limit), **_request(cell)
         )
-        rating = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
-        finish(replace(rating, seconds=time.perf_counter() - begin), None)
+        assessment = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
+        finish(replace(assessment, seconds=time.perf_counter() - begin), None)
 
-    def _rate_graph(
+    def _assess_graph(
         self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Assessment, Path | None], None]
     ) -> None:
         assert cell.graph is not None
         begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
             try:
-                rating = assess_through_graph(
+                assessment = assess_through_graph(
                     Assessment(cell.plan, provenance=self._provenance(cell)),
                     GraphSetting(
                         options=replace(cell.graph, graphs=graphs),
@@ -264,7 +264,7 @@ class Campaign:
                 )
             except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
                 raise AssessmentError(f"its graph cannot run: {error}") from error
-            finish(replace(rating, seconds=time.perf_counter() - begin), logs)
+            finish(replace(assessment, seconds=time.perf_counter() - begin), logs)
 
     def _storing(self, cell: Cell, runner: Runner) -> StoringRunner:
         assert self._store is not None
@@ -274,11 +274,11 @@ class Campaign:
     def _provenance(self, cell: Cell) -> dict[str, Any]:
         return {**self._origins[cell.plan.controller, _command_of(cell)], "date": date_now()}
 
-    def _finish(self, cell: Cell, rating: Assessment, logs: Path | None) -> None:
+    def _finish(self, cell: Cell, assessment: Assessment, logs: Path | None) -> None:
         """Write the folder of a cell, take note of it, and forget its stored episodes: in this order."""
 
         def write(folder: Path) -> None:
-            fill(folder, rating)
+            fill(folder, assessment)
             if logs is not None and logs.is_dir() and any(logs.iterdir()):
                 logs.rename(folder / "logs")
 
@@ -289,8 +289,8 @@ class Campaign:
             self._row_of(cell).update(
                 done_row(
                     cell,
-                    rating.as_dict(),
-                    rating,
+                    assessment.as_dict(),
+                    assessment,
                     maximum_aborted=self._maximum_aborted,
                     digests=digests,
                 )

@@ -27,7 +27,7 @@ from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
-from skd_evaluator.assessment.files.verification import rating_of
+from skd_evaluator.assessment.files.verification import assessment_from_file
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
 from skd_evaluator.assessment.options import GENERATED, OF_NO_RESULT, CampaignOptions, GraphOptions
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan
@@ -236,7 +236,7 @@ def open_row(cell: Cell) -> Row:
 def done_row(
     cell: Cell,
     figures: Mapping[str, Any],
-    rating: Assessment,
+    assessment: Assessment,
     *,
     maximum_aborted: float,
     digests: Mapping[str, str],
@@ -246,21 +246,21 @@ def done_row(
     Args:
         cell: the cell that is done.
         figures: content of its assessment.json.
-        rating: its figures.
+        assessment: its figures.
         maximum_aborted: share of its episodes that may be aborted.
         digests: SHA-256 of the files that hold its result.
     """
-    rating = replace(rating, warnings=tuple(figures["warnings"]))
+    assessment = replace(assessment, warnings=tuple(figures["warnings"]))
     return {
         **open_row(cell),
         "state": DONE,
         **{name: figures[name] for name in FIGURES},
         "knowledge": str(figures["knowledge"]),
-        "ranking_objective": str(rating.for_deviation.plan.objective),
+        "ranking_objective": str(assessment.for_deviation.plan.objective),
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
-        "episodes": rating.episodes,
-        "problems": why_failed(rating, maximum_aborted, figures),
-        "warnings": warnings_of(rating),
+        "episodes": assessment.episodes,
+        "problems": why_failed(assessment, maximum_aborted, figures),
+        "warnings": warnings_of(assessment),
         "sha256": dict(digests),
     }
 
@@ -286,8 +286,8 @@ def row_of(cell: Cell, folder: Path, maximum_aborted: float) -> Row | None:
         stored = read_episodes(folder)
         with understood(folder / ASSESSMENT):
             _check_cell(cell, folder, figures, len(stored.safe))
-            rating = rating_of(figures, stored)
-            return done_row(cell, figures, rating, maximum_aborted=maximum_aborted, digests=digests)
+            assessment = assessment_from_file(figures, stored)
+            return done_row(cell, figures, assessment, maximum_aborted=maximum_aborted, digests=digests)
     except UsageError as error:
         raise UsageError(f"{error}; remove {folder}, and --resume makes it again") from error
 
