@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -107,15 +106,6 @@ def test_a_package_that_workers_do_not_have_is_one_line(cluster, tmp_path, monke
     monkeypatch.syspath_prepend(str(tmp_path))
     with make_runner(cluster.address, 1) as runner, pytest.raises(UsageError, match="does not have the controller"):
         list(runner.run(replays(2, "users_package.car:Careful")))
-
-
-def test_several_threads_share_a_cluster_and_each_gets_its_own_in_order(cluster):
-    episodes = replays(90)
-    with make_runner(cluster.address, 1) as runner, ThreadPoolExecutor(3) as threads:
-        found = list(threads.map(lambda first: list(runner.run(episodes[first : first + 30])), (0, 30, 60)))
-    assert [log.episode for share in found for log in share] == episodes
-    with make_runner(None, 1) as runner:
-        assert [bits(log) for share in found for log in share] == [bits(log) for log in runner.run(episodes)]
 
 
 def test_workers_that_are_unlike_are_refused_at_the_start_and_later(cluster):

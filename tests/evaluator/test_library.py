@@ -7,7 +7,6 @@ import math
 import os
 import subprocess
 import sys
-import threading
 import warnings
 from pathlib import Path
 
@@ -167,27 +166,6 @@ def test_two_threads_assess_a_car_of_a_users_own(tmp_path):
     assert {"uname", "git"} <= set(begun.split())
     assert len(margins) == 2
     assert float(margins[0]) == float(margins[1]) > 0.0
-
-
-def test_assessments_of_several_threads_run_one_after_another():
-    met, first, done = threading.Event(), threading.Lock(), []
-
-    def told(*_told: object) -> None:
-        if first.acquire(blocking=False):
-            assert not met.wait(3.0)
-        elif not done:
-            met.set()
-
-    def one() -> None:
-        assess("basic", progress=told, **SMALL, **ALONE)
-        done.append("one")
-
-    threads = [threading.Thread(target=one) for _ in range(2)]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join(60.0)
-    assert done == ["one", "one"]
 
 
 def test_that_skd_is_not_defined_is_said(tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 import pytest
-from skd_evaluator.assessment.stages.static_tests import static_tests
 from skd_evaluator.extensions.ncap.evaluation import requested_tests, scenario_of
 from skd_evaluator.extensions.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_evaluator.extensions.ncap.matrices import Criterion, colour_of, known_scenarios, matrix_of, scenarios_of
@@ -15,6 +14,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS, lineage
+from static_support import static_tests
 
 KMH = 1.0 / 3.6
 

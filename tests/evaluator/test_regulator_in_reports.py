@@ -11,13 +11,14 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from skd_evaluator.assessment.stages.static_tests import place_of, static_tests
+from skd_evaluator.assessment.stages.static_tests import place_of
 from skd_evaluator.extensions.ncap.page import views_of
 from skd_evaluator.library import assess
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
+from static_support import static_tests
 
 KMH = 1.0 / 3.6
 SCHEMA = Path(__file__).parents[2] / "ros_ws/src/skd_evaluator/skd_evaluator/assessment/assessment.schema.json"

@@ -19,14 +19,12 @@ from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.checks import (
-    DRIVES,
     SAMPLE,
     Drive,
     driving,
     is_same,
     repeatability,
     sample_of,
-    undisturbed_drives,
 )
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
@@ -228,10 +226,6 @@ def test_cars_that_avoid_people_drive_undisturbed_in_every_scenario(name: str) -
             assert np.hypot(*(log.adversary - log.car[:, :2]).T).min() > 1000.0
 
 
-def test_drives_differ_in_noise() -> None:
-    assert len({drive.last for drive in undisturbed_drives(PLAN, Runner(Towards(STARTS)))}) == DRIVES
-
-
 def run(speeds: list[float], away: float, scenario: Scenario = CROSSING, outcome: Outcome = Outcome.MISSED):
     """A run in which the front of the car is so far from the adversary, aside and ahead, all the time."""
     car = np.column_stack([np.full(len(speeds), 1.5), np.linspace(-40.0, -30.0, len(speeds)), speeds])
@@ -336,16 +330,3 @@ def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str
         (line,) = [one for one in found if part in one]
         assert line in done.stderr
         assert "deviation ≥ 0: error, not judged" in done.stderr
-
-
-def test_a_campaign_fails_by_such_a_car_and_again_when_it_is_read_back(cars: Path) -> None:
-    counts = "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 16"
-    names = ", ".join(f"{{controller: some_cars:{name}}}" for name in ("Honest", "Counting"))
-    text = f"defaults: {counts}, knowledge: nothing, behaviour: none}}\ncars: [{names}]\n"
-    (cars / "campaign.yaml").write_text(text)
-    for further in ([], ["--resume"]):
-        done = skd("campaign", "campaign.yaml", "--workers", "1", "--out", "cells", "--quiet", *further, cwd=cars)
-        assert done.returncode == 1
-        lines = [line for line in done.stderr.splitlines() if NOT_CREDIBLE in line]
-        assert lines
-        assert all("Counting" in line for line in lines)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -56,22 +53,6 @@ def test_nothing_is_seen_before_all_is_written(tmp_path):
 
     ResultFolder(tmp_path / "out").write(look)
     assert names(tmp_path) == ["out"]
-
-
-def test_folder_obeys_the_umask(tmp_path):
-    before = os.umask(0o027)
-    try:
-        ResultFolder(tmp_path / "out").write(fill)
-    finally:
-        os.umask(before)
-    assert (tmp_path / "out").stat().st_mode & 0o777 == 0o750
-
-
-def test_empty_folder_is_used(tmp_path):
-    (tmp_path / "out").mkdir()
-    ResultFolder(tmp_path / "out").write(fill)
-    assert names(tmp_path) == ["out"]
-    assert "assessment.json" in content(tmp_path / "out")
 
 
 def test_overwriting_leaves_nothing_old(tmp_path):
@@ -178,14 +159,6 @@ def test_what_left_nothing_or_was_killed_leaves_the_folder_free(tmp_path):
     assert not (tmp_path / "out" / "logs").is_symlink()
 
 
-def test_logs_of_others_are_not_taken_for_ours(tmp_path):
-    (tmp_path / "logs").mkdir()
-    (tmp_path / "logs" / "diary.txt").touch()
-    with pytest.raises(UsageError, match="is not empty and holds no SKD results"):
-        ResultFolder(tmp_path)
-    assert content(tmp_path) == {"logs/diary.txt": ""}
-
-
 @pytest.mark.parametrize("there", ["nothing", "empty", "results"])
 def test_second_run_is_told_at_once(tmp_path, there):
     if there == "empty":
@@ -199,18 +172,6 @@ def test_second_run_is_told_at_once(tmp_path, there):
     with pytest.raises(UsageError, match="already holds results"):
         ResultFolder(tmp_path / "out")
     assert set(content(tmp_path / "out")) == {"assessment.json", "part/episodes.npz"}
-
-
-def test_run_that_was_killed_holds_nothing(tmp_path):
-    script = (
-        "import os, signal, sys; from pathlib import Path\n"
-        "from skd_evaluator.assessment.files.result_folder import ResultFolder\n"
-        "out = ResultFolder(Path(sys.argv[1])); os.kill(os.getpid(), signal.SIGKILL)"
-    )
-    subprocess.run([sys.executable, "-c", script, str(tmp_path / "out")], check=False)
-    assert names(tmp_path) == ["out"]
-    ResultFolder(tmp_path / "out").write(fill)
-    assert "assessment.json" in content(tmp_path / "out")
 
 
 def test_json_is_strict_and_keeps_every_bit(tmp_path):

@@ -18,7 +18,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of, risk_request, runs_of, why_no_risk
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import OF_PERSON, load_behaviour
-from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
+from skd_evaluator.metrics.risks import ScaleRisk, Subsets, Touch, log_t_interval
 from skd_evaluator.risk.cars import AnyCar, KnownCar, end_of
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import _MOVED, SubsetEffort, _moved, gathered, levels_of, replicate
@@ -321,17 +321,6 @@ def test_the_interval_of_replicates_is_students_on_the_logarithm():
     assert (math.log(low / 2e-5), math.log(high / 2e-5)) == pytest.approx((-reach, reach))
 
 
-def test_small_risks_say_that_they_hang_on_the_model():
-    small = Subsets(np.full((16, 2), 2e-5), np.full(16, 5), 1000)
-    risk = ScaleRisk(1.0, np.zeros(4, np.int64), 2, small)
-    assert risk.value == pytest.approx(4e-5)
-    said = risk.as_dict()
-    assert "conditional on the behaviour model" in said["note"]
-    assert said["episodes"] == 4 + 17 * (1000 + 4 * 900)
-    assert Risks({}, [risk]).figures()["risk_1"] == risk.value
-    assert Risks({}, [risk]).figures()["risk_2"] is None
-
-
 def test_the_command_reports_it_and_leaves_everything_else_alone(tmp_path):
     found = {}
     for name in ("walkers", "none"):
@@ -357,13 +346,3 @@ def test_a_behaviour_that_is_none_is_one_line(tmp_path):
     done = skd("assess", *SMALL, "--behaviour", "walker", "--out", "it", cwd=tmp_path)
     one_line(done, 2, "behaviour 'walker'", "did you mean 'walkers'?")
     assert not (tmp_path / "it").exists()
-
-
-def test_uneven_replicates_are_said():
-    levels = np.full(16, 5)
-    even = Subsets(np.full((16, 1), 1e-3), levels, 1000)
-    uneven = Subsets(np.array([[1e-5]] * 15 + [[1e-3]]), levels, 1000)
-    none = np.zeros(10, np.int64)
-    assert ScaleRisk(1.0, none, 1, even).as_dict()["note"] == ""
-    assert "replicates differ" in ScaleRisk(1.0, none, 1, uneven).as_dict()["note"]
-    assert "conditional" in ScaleRisk(1.0, none, 1, uneven).as_dict()["note"]

@@ -7,12 +7,13 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.stages.static_tests import StaticTest, static_tests, without_noise
+from skd_evaluator.assessment.stages.static_tests import without_noise
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.world.state import AdversaryState, CarState
+from static_support import StaticRun, static_tests
 
 PERIOD = 0.01  # s between two decisions
 KMH = 1.0 / 3.6
@@ -60,7 +61,7 @@ class Textbook:
         return -self.deceleration if (self.tick - 1) * PERIOD >= self.begins - 1e-9 else 0.0
 
 
-def static_tests_of(name: str, kmh: float, *, begins: float = math.inf, deceleration: float = 6.0) -> list[StaticTest]:
+def static_tests_of(name: str, kmh: float, *, begins: float = math.inf, deceleration: float = 6.0) -> list[StaticRun]:
     scenario = changed_scenario(name, {"car.start_speed": kmh * KMH})
     clocked = dataclasses.replace(scenario, control_period=PERIOD)
     return static_tests(clocked, CarUnderTest("basic"), Textbook(begins, deceleration))

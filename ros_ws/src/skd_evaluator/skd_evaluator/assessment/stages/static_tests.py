@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any
 
-from skd_sim.controllers import Controller
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
-from skd_sim.scenario.protocol import impact_offset, regulatory_trajectories
+from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
@@ -17,40 +15,7 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner, speed_ahead
-from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-
-
-@dataclass(frozen=True)
-class StaticTest:
-    """What came of one cell of a regulator's grid.
-
-    Attributes:
-        place: where on its front the unbraked car meets the target, % of its width.
-        log: what happened.
-    """
-
-    place: float
-    log: EpisodeLog
-
-    @property
-    def touched(self) -> bool:
-        """Whether the car touched the target."""
-        return self.log.outcome == Outcome.COLLISION
-
-    @property
-    def impact_speed(self) -> float:
-        """Speed of the car when it touched the target, m/s; 0 where it did not."""
-        return self.log.impact_speed if self.touched else 0.0
-
-    @property
-    def impact_place(self) -> float:
-        """Where on the car's front the target's centre was at the contact, % of the car's width; nan without one."""
-        if not self.touched:
-            return math.nan
-        scenario = self.log.episode.scenario
-        x, y = self.log.trajectory.positions[-1].tolist()
-        return 50.0 + 50.0 * scenario.end.place(x, y)[0] / impact_offset(scenario, 100.0)
 
 
 def without_noise(scenario: Scenario) -> Scenario:
@@ -87,25 +52,8 @@ def static_episodes(scenario: Scenario, car: CarUnderTest) -> list[Episode]:
     ]
 
 
-def static_tests(scenario: Scenario, car: CarUnderTest, controller: Controller | None = None) -> list[StaticTest]:
-    """Run the static test of each impact place of a scenario's protocol.
-
-    Args:
-        scenario: as of `static_episodes`.
-        car: the car under test.
-        controller: the same, if it is there already; made by its name by default.
-
-    Raises:
-        UsageError: the scenario has no protocol.
-    """
-    episodes = static_episodes(scenario, car)
-    assert scenario.protocol is not None
-    places = scenario.protocol.impact_places
-    return [StaticTest(place, run_episode(one, controller)) for place, one in zip(places, episodes, strict=True)]
-
-
 @dataclass(frozen=True, kw_only=True)
-class Tested:
+class StaticTest:
     """One static test: no noise, and a target that goes the protocol's way whatever the car does.
 
     Attributes:
@@ -136,7 +84,7 @@ class Tested:
             raise ValueError(f"the static test at {self.place:g} % contradicts itself")
 
     @classmethod
-    def of(cls, place: float, log: EpisodeLog) -> Tested:
+    def of(cls, place: float, log: EpisodeLog) -> StaticTest:
         """Return what an episode of `static_episodes` says."""
         if log.outcome == Outcome.ABORTED:
             return cls(place=place, aborted=log.reason)
@@ -181,7 +129,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails here alone has its figures all the same
-        tests = [Tested(place=place, aborted=str(error)) for place, _ in chosen]
+        tests = [StaticTest(place=place, aborted=str(error)) for place, _ in chosen]
     else:
-        tests = [Tested.of(place, log) for (place, _), log in zip(chosen, logs, strict=True)]
+        tests = [StaticTest.of(place, log) for (place, _), log in zip(chosen, logs, strict=True)]
     return dataclasses.replace(assessment, static_tests=tuple(one.as_dict() for one in tests))

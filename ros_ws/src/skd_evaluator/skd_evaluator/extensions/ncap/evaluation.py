@@ -22,7 +22,7 @@ from skd_evaluator.assessment.stages.checks import undisturbed_drives
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin, with_planned_hits
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.assessment.stages.static_tests import Tested, static_episodes
+from skd_evaluator.assessment.stages.static_tests import StaticTest, static_episodes
 from skd_evaluator.cli.reference import MULTIPLIERS, ReferenceTrials, reference_sweep
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, ProtocolMatrix, colour_of, matrix_of
@@ -34,7 +34,9 @@ FASTER = 1.0
 """km/h by which a car may exceed the test speed: one that drives by itself may speed up before it sees anybody."""
 
 
-def with_test(cell: NcapCell, tested: Tested, target: float, point: MatrixPoint | None, why_none: str = "") -> NcapCell:
+def with_test(
+    cell: NcapCell, tested: StaticTest, target: float, point: MatrixPoint | None, why_none: str = ""
+) -> NcapCell:
     """Return a cell with what came of its static test.
 
     Args:
@@ -265,7 +267,7 @@ def _with_test(cell: NcapCell, log: EpisodeLog, plan: Plan, point: MatrixPoint |
     protocol = plan.scenario.protocol
     assert protocol is not None
     why_none = "" if point is None or plan.car.is_own else _why_no_test(plan, point.speed, runner)
-    return with_test(cell, Tested.of(protocol.impact_places[0], log), KMH * protocol.speed, point, why_none)
+    return with_test(cell, StaticTest.of(protocol.impact_places[0], log), KMH * protocol.speed, point, why_none)
 
 
 def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:

@@ -13,7 +13,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import lineage
 
-from skd_evaluator.assessment.stages.static_tests import Tested, place_of
+from skd_evaluator.assessment.stages.static_tests import StaticTest, place_of
 from skd_evaluator.extensions.ncap.evaluation import (
     KMH,
     SAME,
@@ -156,7 +156,7 @@ def _cells(one: AssessedTests) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
     matrix = None
     found = []
     for entry in figures["static_tests"]:
-        tested = Tested(**entry)
+        tested = StaticTest(**entry)
         matrix, wanted = _wanted(scenario, tested.place)
         cell = in_matrix(
             NcapCell(speed=wanted.speed, target=wanted.target, place=wanted.place, why=wanted.why), wanted.point
