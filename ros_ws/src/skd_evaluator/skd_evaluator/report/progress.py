@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from rich.console import Console, RenderableType
+from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -33,24 +33,16 @@ FIRST_LINE = 5.0
 PREPARING = "preparing; a first run compiles code for a minute or two, and keeps it"
 
 
-Above = Callable[[int], RenderableType]
-"""Gives what is drawn above the bars, by the height of the terminal in lines."""
-
-
 @contextmanager
-def progress_bar(*, quiet: bool = False, above: Above | None = None) -> Iterator[CampaignProgress]:
+def progress_bar(*, quiet: bool = False) -> Iterator[CampaignProgress]:
     """Yield a callback that shows on standard error how far it is, with the rate and the time left, unless `quiet`.
 
     On a terminal it draws a bar, elsewhere it says a line every 30 s. Several threads may call it at once.
-
-    Args:
-        quiet: show nothing.
-        above: what is drawn above the bars, anew each time; nothing by default, and where there are no bars.
     """
     if quiet:
         yield lambda _label, _done, _total: None
-    elif draws_bars():
-        with _bar(above) as update:
+    elif sys.stderr.isatty() and not is_verbose():
+        with _bar() as update:
             yield update
     else:
         stages = _say_stages() if is_verbose() else None
@@ -76,23 +68,6 @@ def progress_bar(*, quiet: bool = False, above: Above | None = None) -> Iterator
             over.set()
 
 
-def draws_bars() -> bool:
-    """Return whether there is a terminal for bars, and no line for each step that would run through them."""
-    return sys.stderr.isatty() and not is_verbose()
-
-
-class _Bars(Progress):
-    """Bars below something else."""
-
-    above: Above | None = None
-
-    def get_renderables(self) -> Iterator[RenderableType]:
-        """Yield what is drawn, from above to below."""
-        if self.above is not None:
-            yield self.above(self.console.height)
-        yield from super().get_renderables()
-
-
 class _Rate(ProgressColumn):
     """How many are done in a second."""
 
@@ -102,14 +77,12 @@ class _Rate(ProgressColumn):
 
 
 @contextmanager
-def _bar(above: Above | None) -> Iterator[CampaignProgress]:
+def _bar() -> Iterator[CampaignProgress]:
     columns = (
         TextColumn("{task.description:<22}"), BarColumn(bar_width=16), MofNCompleteColumn(), _Rate(),
         TimeElapsedColumn(), TimeRemainingColumn(compact=True), TextColumn("left"),
     )  # fmt: skip
-    bars = _Bars(*columns, console=Console(stderr=True), transient=True)
-    bars.above = above
-    with bars as progress:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         tasks: dict[str, Any] = {}
         lock = threading.Lock()
         preparing = progress.add_task("preparing", total=None)

@@ -9,12 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
-from skd_evaluator.report.formats import BARE, TERMINAL, bounded, interval, number, percent
-from skd_evaluator.report.terminal import bounded_cell, counted, credibility, narrow_table, one_line_cells
+from skd_evaluator.report.formats import BARE, TERMINAL, interval, number, percent
+from skd_evaluator.report.terminal import bounded_cell, credibility, narrow_table
 
 _number, _interval = TERMINAL.number, TERMINAL.interval
-_HEAD_AND_FOOT = 7  # lines of a table beside its rows
-_BARS = 6  # lines that are left for bars
 
 
 def _doubt(row: Mapping[str, Any]) -> str:
@@ -70,50 +68,6 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             number(row["skd"]),
         )
     return table
-
-
-def cell_line(row: Mapping[str, Any]) -> str:
-    """Return in one line what a cell came to, from its row in campaign.json."""
-    if not row["sha256"]:
-        return f"{row['name']}: {row['state']}: {'; '.join(row['problems'])}"
-    figures = [f"margin {bounded(row, number(row['margin']))} m"]
-    if row["margin_ci95"] is not None:
-        figures[0] += f" (95 %: {interval(row['margin_ci95'])})"
-    if row["margin_converged"] is False:
-        figures[0] += " (not converged)"
-    figures.append(f"nominal collision rate {TERMINAL.share(row['nominal_collision_rate'])}")
-    if row["deviation"] is not None:
-        figures.append(f"planned {number(row['deviation'])} m")
-    said = _worth(row)
-    return f"{row['name']}{f' ({said})' if said else ''}: {', '.join(figures)}"
-
-
-class LiveTable:
-    """The table of a campaign's cells as they stand, as high as there is room for it."""
-
-    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Show rows of campaign.json, which change as cells end."""
-        self._rows = rows
-        self._ended = [str(row["name"]) for row in rows if row["sha256"]]
-
-    def take(self, row: Mapping[str, Any]) -> None:
-        """Take note that a cell has ended: the last ones are shown where there is no room for all."""
-        self._ended.append(str(row["name"]))
-
-    def table(self, height: int) -> Table:
-        """Return the table, for a terminal of so many lines.
-
-        Args:
-            height: lines of the terminal, of which some are left for bars.
-        """
-        room = max(1, height - _HEAD_AND_FOOT - _BARS)
-        rows = list(self._rows)
-        if len(rows) > room:
-            last = set(self._ended[-room:])
-            rows = [row for row in rows if row["name"] in last]
-        table = campaign_table(rows)
-        table.title = f"{len(self._ended)} of {counted(len(self._rows), 'cell')}"
-        return one_line_cells(table)
 
 
 def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:

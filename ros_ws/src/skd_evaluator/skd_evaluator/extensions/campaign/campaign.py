@@ -68,7 +68,6 @@ class Campaign:
 
     Attributes:
         rows: what is known of each cell, in the order of the file.
-        told: called with the row of each cell that ends from now on.
     """
 
     def __init__(
@@ -101,7 +100,6 @@ class Campaign:
         done = {name: row for name, row in rows.items() if row is not None}
         self._cells = cells
         self.rows: list[Row] = [done.get(cell.name) or open_row(cell) for cell in cells]
-        self.told: Callable[[Row], None] = lambda _row: None
         self._todo = [cell for cell in cells if cell.name not in done]
         self._runs: dict[str, StoringRunner] = {}
         self._unsaved: list[Cell] = []  # cells that are done, of which campaign.json does not know yet
@@ -231,7 +229,6 @@ class Campaign:
             with self._lock:
                 self._row_of(cell).update(state=FAILED, problems=[str(error)])
                 self._save(at_once=False)
-                self.told(self._row_of(cell))
 
     def _assess(
         self, cell: Cell, runner: Workers, progress: Progress, finish: Callable[[Assessment, Path | None], None]
@@ -297,7 +294,6 @@ class Campaign:
             )
             self._unsaved.append(cell)
             self._save(at_once=False)
-            self.told(self._row_of(cell))
 
     def _row_of(self, cell: Cell) -> Row:
         return next(row for row in self.rows if row["name"] == cell.name)

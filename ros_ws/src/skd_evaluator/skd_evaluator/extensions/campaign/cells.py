@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import sha256_of
 from skd_sim.options.adversary import OBJECTIVES, Objective, objectives_named
 from skd_sim.options.car_under_test import SIMULATORS, CarUnderTest
-from skd_sim.options.options import further_options, options_of, values_of
+from skd_sim.options.options import options_of, values_of
 from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.state import Trajectory
 
@@ -178,7 +178,7 @@ def _identity(
     values = one.values
     options = {option.name: option.plain(getattr(plan, option.name)) for option in options_of(CampaignOptions)}
     options["objective"] = ",".join(objectives)
-    options["car_model"] = _sha256_of_text(plan.car_model.encode()) if plan.car_model else ""
+    options["car_model"] = hashlib.sha256(plan.car_model.encode()).hexdigest() if plan.car_model else ""
     further = ("graph", "margin_limit", "curve")
     graph: dict[str, Any] = {}
     if values["graph"]:  # else these are of no effect
@@ -196,10 +196,6 @@ def _identity(
         "file": files,
         "environment": dict(environment()),
     }
-
-
-def _sha256_of_text(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 FIGURES = columns("campaign")
@@ -295,30 +291,19 @@ def row_of(cell: Cell, folder: Path, maximum_aborted: float) -> Row | None:
 def _check_cell(cell: Cell, folder: Path, figures: Mapping[str, Any], safe_count: int) -> None:
     """Refuse a folder that holds the result of another cell."""
     plan = cell.plan
-    asked = {
+    requested = {
         "controller": plan.controller,
         "multiplier": plan.car.stated_multiplier,
         "safe": plan.safe,
         "seed": plan.seed,
         "simulations": plan.simulations,
-        "knowledge": str(plan.knows),
         "maximum_distance": plan.maximum_distance,
         "scenario": json.loads(json.dumps(plan.scenario.as_dict())),
     }
-    wrong = next((name for name, value in asked.items() if figures[name] != value), None)
-    if wrong is None and _without_knowledge(figures["options"]) != _without_knowledge(further_options(plan)):
-        wrong = "options"
-    if wrong is None and set(figures["objectives"]) != set(map(str, cell.objectives)):
-        wrong = "objectives"
-    if wrong is None and safe_count != plan.safe_count:
-        wrong = "number of φ"
-    if wrong is not None:
-        raise UsageError(f"{folder}: is the result of another cell: its {wrong} differs")
-
-
-def _without_knowledge(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options but what the adversary knows, as they are read from a file.
-
-    A plan that is to learn has to say so; after that its model implies it, and the result leaves it out.
-    """
-    return {name: value for name, value in json.loads(json.dumps(options)).items() if name != "knowledge"}
+    wrong = [name for name, value in requested.items() if figures[name] != value]
+    if set(figures["objectives"]) != set(map(str, cell.objectives)):
+        wrong.append("objectives")
+    if safe_count != plan.safe_count:
+        wrong.append("number of φ")
+    if wrong:
+        raise UsageError(f"{folder}: is the result of another cell: its {wrong[0]} differs")

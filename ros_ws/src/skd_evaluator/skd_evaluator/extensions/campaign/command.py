@@ -14,7 +14,6 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Episode
 
-from skd_evaluator.assessment.from_options import inputs_of
 from skd_evaluator.assessment.run.workers import available_workers
 from skd_evaluator.assessment.stages.margin import margins_compiled_beside
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
@@ -24,12 +23,12 @@ from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign.campaign import Campaign, planned_rows
-from skd_evaluator.extensions.campaign.campaign_file import Combination, read_campaign
-from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, Row, make_cells
+from skd_evaluator.extensions.campaign.campaign_file import read_campaign
+from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, make_cells
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.report.progress import Above, draws_bars, progress_bar
+from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.repeat import program
-from skd_evaluator.report.side_by_side import LiveTable, campaign_table, cell_line, equal_remarks, plan_table
+from skd_evaluator.report.side_by_side import campaign_table, equal_remarks, plan_table
 from skd_evaluator.report.terminal import counted, print_table
 from skd_evaluator.ros.session import prepare_ros
 
@@ -40,29 +39,20 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
-    combinations = read_campaign(arguments.path)
-    cells = make_cells(combinations)
+    cells = make_cells(read_campaign(arguments.path))
     if arguments.dry_run:
         return _say_plan(cells, arguments)
     if arguments.resume and arguments.out is None:
         raise UsageError("--resume needs --out: the folder of the campaign to go on with")
     _prepare_graphs(cells, arguments)
     out = output_path(arguments)
-    folder = CampaignFolder(
-        out,
-        cells,
-        resume=arguments.resume,
-        overwrite=arguments.overwrite,
-        reads=_read_by(combinations, arguments),
-    )
+    folder = CampaignFolder(out, cells, resume=arguments.resume, overwrite=arguments.overwrite)
     try:
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
         try:
-            if folder.resumed and not arguments.quiet:
-                print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
             if folder.resumed:
-                _say_what_was_taken_over(cells)
-            _run_cells(campaign, arguments, _live(campaign, arguments))
+                _say_resumed(campaign, cells, quiet=arguments.quiet)
+            _run_cells(campaign, arguments)
         except KeyboardInterrupt:
             return _interrupted(campaign, arguments, out)
         except OutOfReachError as error:
@@ -75,23 +65,15 @@ def run(arguments: argparse.Namespace) -> int:
         folder.close()
 
 
-def _say_what_was_taken_over(cells: Sequence[Cell]) -> None:
-    """Say what a user cannot see of what a campaign goes on with."""
+def _say_resumed(campaign: Campaign, cells: Sequence[Cell], *, quiet: bool) -> None:
+    """Say how far a campaign is, and of which cars it is not known whether they are still the same."""
+    if not quiet:
+        print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
     for label in dict.fromkeys(cell.plan.car.label for cell in cells if cell.identity["file"] is None):
         print(
             f"skd campaign: warning: the files of {label} are not known: nobody sees whether it is still the same car",
             file=sys.stderr,
         )
-
-
-def _read_by(combinations: Sequence[Combination], arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that a campaign reads: its own, and those of its cells."""
-    named = ("safe", "car_model", "behaviour", "message_folder", "controller")  # as `inputs_of` looks at
-    different = dict.fromkeys((one.scenario, *(one.values[name] for name in named)) for one in combinations)
-    found = inputs_of(vars(arguments))
-    for values in different:
-        found += inputs_of(dict(zip(("scenario", *named), values, strict=True)))
-    return list(dict.fromkeys(found))
 
 
 def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> None:
@@ -106,23 +88,7 @@ def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> Non
         prepare_ros(one)
 
 
-def _live(campaign: Campaign, arguments: argparse.Namespace) -> Above | None:
-    """With --live, have each cell shown as it ends; return what is drawn above the bars, if there are any."""
-    if not arguments.live or arguments.quiet:
-        return None
-    if draws_bars():
-        live = LiveTable(campaign.rows)
-        campaign.told = live.take
-        return live.table
-
-    def say(row: Row) -> None:
-        print(f"skd campaign: {cell_line(row)}", file=sys.stderr, flush=True)
-
-    campaign.told = say
-    return None
-
-
-def _run_cells(campaign: Campaign, arguments: argparse.Namespace, above: Above | None) -> None:
+def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
     if in_process := campaign.in_process:
         runner = runner_of(
             arguments,
@@ -136,12 +102,12 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace, above: Above |
                         warm_up_risk(cell.plan)
                 runner.start(_planners(in_process), inherited=load_margins)
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
-            with progress_bar(quiet=arguments.quiet, above=above) as progress:
+            with progress_bar(quiet=arguments.quiet) as progress:
                 campaign.run(runner, progress, _at_once(arguments))
     if through_graph := campaign.through_graph:
         for cell in through_graph:
             compile_for_graph(cell.plan, cell.objectives)
-        with progress_bar(quiet=arguments.quiet, above=above) as progress:
+        with progress_bar(quiet=arguments.quiet) as progress:
             campaign.run_graphs(progress, arguments.graphs)
 
 

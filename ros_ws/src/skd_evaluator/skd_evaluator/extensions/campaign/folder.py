@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import fcntl
 import io
-import itertools
 import json
 import os
 import shutil
@@ -24,10 +23,8 @@ from skd_sim.inputs.files import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment.files.result_folder import write_manifests
-from skd_evaluator.assessment.from_options import lies_in
 from skd_evaluator.extensions.campaign.cells import CHECKED, Cell
 from skd_evaluator.extensions.campaign.episode_store import FILE_NAME as STORE
-from skd_evaluator.extensions.campaign.episode_store import flat
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
@@ -49,7 +46,6 @@ class CampaignFolder:
         *,
         resume: bool = False,
         overwrite: bool = False,
-        reads: Sequence[Path] = (),
     ) -> None:
         """Take the folder, and begin a campaign in it or go on with the one that is there.
 
@@ -58,10 +54,9 @@ class CampaignFolder:
             cells: what is asked for.
             resume: whether to go on with what is there.
             overwrite: whether to replace what is there.
-            reads: files and folders that the campaign reads: none may be in the folder of a cell, which is replaced.
 
         Raises:
-            UsageError: it holds something else, or what is read, another process works in it, or what was asked for
+            UsageError: it holds something else, another process works in it, or what was asked for
                 then is not what is asked for now.
             OSError: it cannot be written.
         """
@@ -74,7 +69,7 @@ class CampaignFolder:
         path.mkdir(parents=True, exist_ok=True)
         self._lock()
         try:
-            self.resumed = self._begin(cells, reads, resume=resume, overwrite=overwrite)
+            self.resumed = self._begin(cells, resume=resume, overwrite=overwrite)
         except BaseException:
             self.close()
             raise
@@ -85,26 +80,25 @@ class CampaignFolder:
             os.close(self._descriptor)
             self._descriptor = None
 
-    def _begin(self, cells: Sequence[Cell], reads: Sequence[Path], *, resume: bool, overwrite: bool) -> bool:
+    def _begin(self, cells: Sequence[Cell], *, resume: bool, overwrite: bool) -> bool:
         for left in self.path.glob(f"{PREFIX}*"):  # by one that was killed: the lock is ours
             if left.is_dir() and not left.is_symlink():
                 shutil.rmtree(left, ignore_errors=True)
             else:
                 left.unlink(missing_ok=True)
         known = self.path / CELLS
-        asked = {"cells": [{"name": cell.name, **cell.identity} for cell in cells]}
+        requested = {"cells": [{"name": cell.name, **cell.identity} for cell in cells]}
         before = _read_json(known) if known.exists() else {"cells": []}
-        self._refuse_read([str(cell["name"]) for cell in (*asked["cells"], *before["cells"])], reads)
         if not known.exists():
-            replace_file(known, _json(asked))
+            replace_file(known, _json(requested))
             return False
         if resume:
-            self._refuse_changed(asked, before)
+            self._refuse_changed(requested, before)
             return True
         if not overwrite:
             raise UsageError(f"{self._option}: holds a campaign; add --resume to go on with it, --overwrite to replace")
         self._clear()
-        replace_file(known, _json(asked))
+        replace_file(known, _json(requested))
         return False
 
     def _refuse_foreign(self) -> None:
@@ -114,16 +108,6 @@ class CampaignFolder:
         others = [one.name for one in self.path.iterdir() if one.name != _LOCK and not one.name.startswith(PREFIX)]
         if others:
             raise UsageError(f"{self._option}: is not empty and holds no campaign ({others[0]:.60}); give a new folder")
-
-    def _refuse_read(self, cells: Sequence[str], reads: Sequence[Path]) -> None:
-        """Refuse cells in whose folders something is that is read: they are replaced."""
-        for path in (one for one in reads if lies_in(one, self.path)):
-            for name in cells:
-                if lies_in(path, self.path / name) or lies_in(path, self.path / f"{name}.logs"):
-                    raise UsageError(
-                        f"{self._option}: the folder of cell {name} holds {path}, which this campaign reads; give "
-                        "another folder"
-                    )
 
     def _lock(self) -> None:
         # Of POSIX: a worker that has been forked does not share it, so it ends with this process however that ends.
@@ -136,23 +120,20 @@ class CampaignFolder:
                 raise UsageError(f"{self._option}: another campaign is running there; give another folder") from error
             raise
 
-    def _refuse_changed(self, asked: Mapping[str, Any], before: Mapping[str, Any]) -> None:
+    def _refuse_changed(self, requested: Mapping[str, Any], before: Mapping[str, Any]) -> None:
         """Refuse to go on with a campaign of which something has changed, and say what."""
-        then = {str(cell["name"]): cell for cell in before["cells"]}
-        now = {str(cell["name"]): cell for cell in json.loads(json.dumps(asked))["cells"]}
-        advice = "put it back, or give another --out"
-        for name in itertools.chain(then.keys() - now.keys(), now.keys() - then.keys()):
-            then_or_now = "was asked for when this campaign began, and is not now"
-            if name in now:
-                then_or_now = "was not asked for when this campaign began, and is now"
-            raise UsageError(f"{self._option}: cell {name} {then_or_now}; {advice}")
+        then = {str(cell["name"]): _flat(cell) for cell in before["cells"]}
+        now = {str(cell["name"]): _flat(cell) for cell in json.loads(json.dumps(requested))["cells"]}
+        advice = "since this campaign began; put it back, or give another --out"
+        if other := sorted(then.keys() ^ now.keys()):
+            raise UsageError(f"{self._option}: cell {other[0]} has {'come' if other[0] in now else 'gone'} {advice}")
         for name, cell in now.items():
-            first, second = flat(then[name]), flat(cell)
-            for key in [*second, *first]:
-                if first.get(key) != second.get(key):
+            for key in {**cell, **then[name]}:
+                first, second = then[name].get(key), cell.get(key)
+                if first != second:
                     raise UsageError(
-                        f"{self._option}: {_difference(name, key, first.get(key), second.get(key))} since this "
-                        f"campaign began; {advice}"
+                        f"{self._option}: {key} of cell {name} has changed from {short(first)} to {short(second)} "
+                        f"{advice}"
                     )
 
     def _clear(self) -> None:
@@ -252,17 +233,15 @@ def _read_json(path: Path) -> dict[str, Any]:
     return dict(data)
 
 
-def _difference(cell: str, key: str, before: Any, now: Any) -> str:
-    """Return what has changed in a cell, in words."""
-    kind, _, name = key.partition(".")
-    if kind == "file":
-        what = "was not there: it has come" if before is None else "is gone" if now is None else "has changed"
-        return f"the code of the car of cell {cell}, {name}, {what}"
-    if kind == "environment":
-        return f"{name} has changed from {before} to {now}"
-    if kind == "safe_trajectories":
-        return f"the safe trajectories of cell {cell} have changed"
-    return f"{key} of cell {cell} has changed from {short(before)} to {short(now)}"
+def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one, with the keys in between joined by dots."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            found[f"{prefix}{key}"] = value
+    return found
 
 
 def _plain(value: Any) -> Any:

@@ -38,11 +38,5 @@ def add_campaign(commands: Any) -> None:
     side_by_side = "how many node graphs run side by side, for assessments that say graph: true"
     add_count(campaign, "--graphs", 1, 16, side_by_side, default=1)
     add_max_aborted_argument(campaign)
-    campaign.add_argument(
-        "--live",
-        action="store_true",
-        help="show the figures of each cell as soon as it has ended: on a terminal as a table that grows, elsewhere as "
-        "a line on standard error",
-    )
     add_output_arguments(campaign)
     campaign.set_defaults(module="skd_evaluator.extensions.campaign.command")
