@@ -24,13 +24,12 @@ class Few:
     """Senders as a middleware might see them."""
 
     alive: list[str] = field(default_factory=lambda: ["/one"])
-    dead: int = 0
 
     def count(self) -> int:
-        return len(self.alive) + self.dead
-
-    def living(self) -> int:
         return len(self.alive)
+
+    def crowd(self) -> str | None:
+        return f"{len(self.alive)} publish" if len(self.alive) > 1 else None
 
     def names(self) -> list[str]:
         return self.alive

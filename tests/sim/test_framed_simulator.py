@@ -20,13 +20,20 @@ FRAME = 0.05
 
 
 class Uniform:
-    """Frames of a car and an adversary that do what they are told, exactly."""
+    """Frames of a car and an adversary that do what they are told, exactly; a box points the way it moves."""
 
     limits = CommandLimits(-8.0, 4.0)
 
     def __init__(self, frame_step: float = FRAME) -> None:
         self.frame_step = frame_step
         self.commands: list[float] = []
+        self.shown: list[tuple[RoadUserState, ...]] = []
+
+    def prepare(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+
+    def show(self, others: Sequence[RoadUserState]) -> None:
+        self.shown.append(tuple(others))
 
     def place(self, car: CarState, adversary: AdversaryState) -> tuple[CarState, AdversaryState]:
         self._car, self._adversary = car, adversary
@@ -40,26 +47,9 @@ class Uniform:
         car, adversary, (vx, vy), step = self._car, self._adversary, self._velocity, self.frame_step
         after = max(0.0, car.speed + step * self.commands[-1])
         self._car = car._replace(y=car.y + 0.5 * step * (car.speed + after), speed=after)
-        self._adversary = AdversaryState(adversary.x + step * vx, adversary.y + step * vy, vx, vy)
+        heading = float(on_grid(self._scenario.adversary.heading(adversary.heading, vx, vy)))
+        self._adversary = AdversaryState(adversary.x + step * vx, adversary.y + step * vy, vx, vy, heading)
         return self._car, self._adversary
-
-
-class Staged(Uniform):
-    """The same with a box that points the way it moves, and with others who are put in place."""
-
-    def prepare(self, scenario: Scenario) -> None:
-        self._scenario = scenario
-        self.shown: list[tuple[RoadUserState, ...]] = []
-
-    def show(self, others: Sequence[RoadUserState]) -> None:
-        self.shown.append(tuple(others))
-
-    def advance(self) -> tuple[CarState, AdversaryState]:
-        before = self._adversary.heading
-        car, adversary = super().advance()
-        heading = float(on_grid(self._scenario.adversary.heading(before, *self._velocity)))
-        self._adversary = adversary._replace(heading=heading)
-        return car, self._adversary
 
 
 def _scenario(gap: float) -> Scenario:
@@ -109,7 +99,7 @@ def test_boxes_and_others_end_as_in_the_world(name: str) -> None:
         angle, speed = direction + rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.9) * base.adversary.speed
         velocity = (speed * float(np.cos(angle)), speed * float(np.sin(angle)))
         there = _run(WorldSimulator(), episode, velocity)
-        source = Staged()
+        source = Uniform()
         seen = _run(FramedSimulator(source), episode, velocity)
         assert (seen.outcome, seen.tick) == (there.outcome, there.tick), number
         assert seen.adversary == pytest.approx(there.adversary, abs=1e-9)
@@ -127,14 +117,6 @@ def _crossing_early(other: Other) -> Other:
     if other.is_box or other.stands:
         return other
     return replace(other, way=tuple(replace(point, x=2.0 * point.time - 4.0, y=4.0) for point in other.way))
-
-
-def test_who_is_not_told_of_others_refuses_them() -> None:
-    for name, simulator in (("bystanders", Uniform()), ("cyclist", Uniform())):
-        assert not FramedSimulator(simulator).places_others
-        with pytest.raises(UsageError, match="unless it has the methods prepare and show"):
-            FramedSimulator(simulator).reset(Episode(load_scenario(name), Mode.SAFE, 7, 0))
-    assert FramedSimulator(Staged()).places_others
 
 
 class Feeling(Uniform):

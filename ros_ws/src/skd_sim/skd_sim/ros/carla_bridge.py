@@ -134,7 +134,7 @@ class CarlaFrames:
         self._executor.shutdown()
         self._node.destroy_node()
 
-    # --- what StagedFrameSource and FrameSource ask for
+    # --- what a FrameSource has
 
     def prepare(self, scenario: Scenario) -> None:
         """Take the scenario, and where its obstacles are."""

@@ -29,8 +29,8 @@ class Senders(Protocol):
     def count(self) -> int:
         """Return how many there are, the dead of the last seconds among them; it is asked often, and cheap."""
 
-    def living(self) -> int:
-        """Return how many of them live."""
+    def crowd(self) -> str | None:
+        """Return, in words, who they are where several live; none where at most one does."""
 
     def names(self) -> list[str]:
         """Return the names of those that live, one that publishes twice twice; it may take a moment."""
@@ -103,14 +103,9 @@ class Source:
         )
 
     def crowd(self) -> str | None:
-        """Return who the senders are where they are several; none where there is one, or nobody."""
-        if self.senders.count() < 2 or self.senders.living() < 2:
-            return None
-        names = self.senders.names()
-        names += ["one that is gone"] * (2 - len(names))
-        return abort_reason(
-            AbortKind.SECOND_SENDER, f"{len(names)} nodes publish {self.topic}, one may: {', '.join(names)}"
-        )
+        """Return who the senders are where they are several, as a reason; none where there is one, or nobody."""
+        crowd = self.senders.crowd()
+        return None if crowd is None else abort_reason(AbortKind.SECOND_SENDER, crowd)
 
     def silence(self, wanted: int, limit: float, tick: int) -> str:
         """Return why there is no answer to a tick, as a reason.

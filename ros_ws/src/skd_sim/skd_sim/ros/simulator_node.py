@@ -22,7 +22,7 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import UsageError
 from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, SimulatorOptions, StateOptions, values_of
 from skd_sim.ros.commands import Quantity, car_commands, follow_speed
-from skd_sim.ros.discovery import kind_name, living_publishers, publisher_names, why_no_command
+from skd_sim.ros.discovery import kind_name, publisher_names, second_publisher, why_no_command
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
 from skd_sim.ros.lockstep import (
     Action,
@@ -70,8 +70,8 @@ class _Senders:
     def count(self) -> int:
         return int(self._subscription.get_publisher_count())
 
-    def living(self) -> int:
-        return len(living_publishers(self._node, self._subscription.topic_name))
+    def crowd(self) -> str | None:
+        return second_publisher(self._node, self._subscription.topic_name)
 
     def names(self) -> list[str]:
         return publisher_names(self._node, self._subscription.topic_name)
@@ -88,7 +88,8 @@ class _OneSender:
     def count(self) -> int:
         return 1
 
-    living = count
+    def crowd(self) -> None:
+        return None
 
     def names(self) -> list[str]:
         return ["the adversary"]

@@ -7,8 +7,8 @@ the world, so that both mean the same by it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -27,6 +27,8 @@ States = tuple[CarState, AdversaryState]
 class FrameSource(Protocol):
     """Somebody else's simulator, stepped frame by frame; each method may raise `SimulatorError`.
 
+    With a method `touching()` besides it says whether, by shapes of its own, the car touches somebody at a frame's end.
+
     Attributes:
         frame_step: time between frames, s.
         limits: least and greatest acceleration that its car can be commanded.
@@ -34,6 +36,12 @@ class FrameSource(Protocol):
 
     frame_step: float
     limits: CommandLimits
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Take the scenario of the next episode before both are placed; raise `UsageError` if it cannot be shown."""
+
+    def show(self, others: Sequence[RoadUserState]) -> None:
+        """Put the others of the scenario, in its order, where they are at the next frame's end, or at the start."""
 
     def place(self, car: CarState, adversary: AdversaryState) -> States:
         """Put car and adversary at the start, and return their states as they really are then."""
@@ -45,25 +53,6 @@ class FrameSource(Protocol):
         """Advance by one frame and return the states at its end."""
 
 
-@runtime_checkable
-class StagedFrameSource(Protocol):
-    """What a `FrameSource` has besides where its adversary may be a box, and where the others of a scenario are put."""
-
-    def prepare(self, scenario: Scenario) -> None:
-        """Take the scenario of the next episode before both are placed; raise `UsageError` if it cannot be shown."""
-
-    def show(self, others: Sequence[RoadUserState]) -> None:
-        """Put the others of the scenario, in its order, where they are at the next frame's end, or at the start."""
-
-
-@runtime_checkable
-class TouchingFrameSource(Protocol):
-    """What a `FrameSource` has besides that tells of contacts by shapes of its own."""
-
-    def touching(self) -> bool:
-        """Return whether the car touches the adversary or one of the others at the frame's end."""
-
-
 class FramedSimulator:
     """Counts frames into control periods and ticks, and finds the first contact; see `Simulator`.
 
@@ -73,25 +62,21 @@ class FramedSimulator:
             counts as a collision; nan without one, None where the source knows of none.
     """
 
+    places_others: Final = True
+    """Whether the others of a scenario are there; see `Simulator`."""
+
     def __init__(self, source: FrameSource) -> None:
         """Take the simulator that gives the frames."""
         self._source = source
-        self._stage = source if isinstance(source, StagedFrameSource) else None
-        self._feels = source if isinstance(source, TouchingFrameSource) else None
+        self._touching: Callable[[], bool] | None = getattr(source, "touching", None)
         self.clipped = 0
         self.own_contact: float | None = None
-
-    @property
-    def places_others(self) -> bool:
-        """Whether the others of a scenario are there; see `Simulator`."""
-        return self._stage is not None
 
     def reset(self, episode: Episode) -> Frame:
         """Draw the start as the world does, and place car and adversary there.
 
         Raises:
-            UsageError: a control period is not a whole number of frames, the road has curves, or the source has no
-                `prepare` and the adversary is a box or there are others.
+            UsageError: a control period is not a whole number of frames, or the road has curves.
         """
         scenario = episode.scenario
         if not scenario.road.straight:
@@ -99,19 +84,13 @@ class FramedSimulator:
                 f"scenario {scenario.name} has a curved road, which another simulator cannot be told yet; take a "
                 "straight road, or SKD's own world"
             )
-        if not self.places_others and (scenario.adversary.is_box or scenario.others):
-            raise UsageError(
-                f"scenario {scenario.name} has an adversary that is a box, or others, which another simulator "
-                "cannot be told yet unless it has the methods prepare and show; take a disc alone, or SKD's own world"
-            )
         self._frames = _frames_per_period(scenario, self._source.frame_step)
         self._episode = episode
         self.clipped = 0
-        self.own_contact = None if self._feels is None else math.nan
+        self.own_contact = None if self._touching is None else math.nan
         world = make_world(episode)
-        if self._stage is not None:
-            self._stage.prepare(scenario)
-            self._stage.show(scenario.others_at(0))
+        self._source.prepare(scenario)
+        self._source.show(scenario.others_at(0))
         self._now = Frame(0, *self._source.place(world.car, world.adversary))
         self._origin = self._now.adversary
         return self._now
@@ -130,8 +109,7 @@ class FramedSimulator:
         period, contact = self._now.period + 1, None
         for frame in range((period - 1) * self._frames, period * self._frames):
             now = car, adversary
-            if self._stage is not None:
-                self._stage.show(self._others(frame + 1))
+            self._source.show(self._others(frame + 1))
             car, adversary = self._source.advance()
             self._note_own_contact(frame + 1, car.speed)
             touched = self._touch(frame, now, (car, adversary))
@@ -154,9 +132,9 @@ class FramedSimulator:
 
     def _note_own_contact(self, frames: int, speed: float) -> None:
         """Take note of the source's own contact so many frames after the tick, the first one that counts."""
-        if self._feels is None or self.own_contact is None or not math.isnan(self.own_contact):
+        if self._touching is None or self.own_contact is None or not math.isnan(self.own_contact):
             return
-        if speed >= self._episode.scenario.collision.minimum_impact_speed and self._feels.touching():
+        if speed >= self._episode.scenario.collision.minimum_impact_speed and self._touching():
             self.own_contact = (self._now.tick + frames / self._whole) * self._episode.scenario.time_step
 
     @property

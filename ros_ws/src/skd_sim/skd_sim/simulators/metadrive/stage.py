@@ -349,7 +349,7 @@ _POSITION_ERROR: Final = 0.01  # m
 
 
 class MetaDriveFrames:
-    """A `FrameSource` and `StagedFrameSource`; MetaDrive's frame has the road along x and its left along y.
+    """A `FrameSource`; MetaDrive's frame has the road along x and its left along y.
 
     Attributes:
         frame_step: time between frames, s.
