@@ -58,22 +58,15 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
     assert not (tmp_path / "node" / "logs").exists()
 
 
-@pytest.mark.parametrize(
-    ("graph", "said"),
-    [
-        ("remembering:Stands", "drives of 6 s, and a hit begins at"),
-        ("remembering:Counting", "went differently"),
-    ],
-    indirect=["graph"],
-)
-def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph: int, said: str) -> None:
-    """Nobody says to this node which car it is: whether it drives, and is the same again, is asked of it."""
+@pytest.mark.parametrize("graph", ["remembering:Counting"], indirect=True)
+def test_a_car_that_is_not_repeatable_is_not_credible(tmp_path: Path, graph: int) -> None:
+    """Nobody says to this node which car it is: whether it is the same again is found out."""
     counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 12, "simulations": 50, "seed": 11}
     node_of_it = node("evaluator", graph, **counts, controller="external", knowledge="nothing", out=tmp_path / "out")
     finished = node_of_it.finish()
     assert finished.code == 1, finished.err
     result = json.loads((tmp_path / "out" / "assessment.json").read_text())
-    (line,) = [one for one in result["warnings"] if one.startswith(NOT_CREDIBLE) and said in one]
+    (line,) = [one for one in result["warnings"] if one.startswith(NOT_CREDIBLE) and "went differently" in one]
     assert any(line in printed for printed in finished.lines)
     trials = sum(one["trials"] for one in result["objectives"].values())
     assert len(list((tmp_path / "out" / "bags").iterdir())) == trials + 12  # no drive alone, none that is run again

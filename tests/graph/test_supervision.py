@@ -44,7 +44,7 @@ def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episod
         "from geometry_msgs.msg import AccelStamped; node = rclpy.create_node('hangs');"
         "p = node.create_publisher(AccelStamped, '/ego/acceleration_command', 10); signal.pause()"
     )
-    options = GraphOptions(controller_command=shlex.join([sys.executable, "-c", code]), startup_timeout=5.0)
+    options = GraphOptions(controller_command=shlex.join([sys.executable, "-c", code]), startup_timeout=3.0)
     with whole_graph(tmp_path, options) as (evaluator, token):
         hanging = of_node(token, "'hangs'")
         while kind_of((log := evaluator.run_episode(episode)).reason) == AbortKind.NOT_STARTED:

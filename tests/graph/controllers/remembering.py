@@ -23,10 +23,3 @@ class Counting(BasicController):
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         return super().command(car, adversary) if Counting.episodes % 2 else 0.0
-
-
-class Stands(BasicController):
-    """Stands, whoever is there."""
-
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
-        return -3.0
