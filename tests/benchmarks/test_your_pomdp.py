@@ -80,10 +80,3 @@ def test_the_page_asks(tmp_path: Path) -> None:
     # One wrong box in 30 costs 2 and makes a spread of 10: the standard error is not taken from what may hold none.
     assert best - 3.5 * 10.0 / math.sqrt(len(values)) <= values.mean() <= 8.5
     assert values.max() == pytest.approx(-1.0 + 0.95 * 10.0)
-
-
-def test_the_page_walks_to_the_priest(tmp_path: Path) -> None:
-    """Five steps back and ten forth before the door is opened."""
-    priest = _example(3, "priest", tmp_path)
-    values = [priest.episode(seed) for seed in range(10)]
-    assert values == pytest.approx([0.95**15] * 10)
