@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import shutil
@@ -26,7 +25,7 @@ from skd_evaluator.cli.gate import Gate
 from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
 from skd_evaluator.metrics.statistics import mean
-from skd_evaluator.report.summary import csv_table, junit_xml, markdown
+from skd_evaluator.report.summary import junit_xml, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
@@ -232,21 +231,9 @@ def test_markdown_keeps_its_cells(result):
     assert "no statement about the car" in markdown(result, [CHECKS[0], CHECKS[2]])
 
 
-def test_csv_has_the_figures_of_the_car_and_not_what_they_are_made_of(result):
-    rows = {row["figure"]: row for row in csv.DictReader(csv_table(result).splitlines())}
-    for name in ("deviation", "objectives.paper.skd", "measures.warped.mean"):
-        assert float(rows[name]["value"]) == figure(result, name)
-    low, high = result["skd_ci95"]
-    assert (float(rows["skd"]["ci95_low"]), float(rows["skd"]["ci95_high"])) == (low, high)
-    assert rows["pairs"]["ci95_low"] == ""
-    assert "scenario.time_step" not in rows
-    assert len(rows) < 100
-    assert not [name for name in rows if "per_safe_trajectory" in name or "behaviour" in name]
-
-
 def test_the_command_line_decides(skd_here, here, cars):
     conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "margin_trials=0"]
-    files = ["--junit", "j.xml", "--markdown", "m.md", "--csv", "c.csv"]
+    files = ["--junit", "j.xml", "--markdown", "m.md"]
     earlier = ["--fail-if-worse-than", str(cars[1.15])]
     done = skd_here("assess", *SMALL, *conditions, *earlier, *files, "--out", "out")
     assert done.returncode == 1
@@ -257,7 +244,7 @@ def test_the_command_line_decides(skd_here, here, cars):
     assert (here / "out" / "assessment.json").exists()
     suite = ElementTree.parse(here / "j.xml").getroot()
     assert (suite.attrib["failures"], suite.attrib["errors"]) == ("1", "1")
-    assert {path.name for path in here.iterdir()} == {"out", "j.xml", "m.md", "c.csv", "my_cars.py", "good.csv"}
+    assert {path.name for path in here.iterdir()} == {"out", "j.xml", "m.md", "my_cars.py", "good.csv"}
 
 
 @pytest.mark.parametrize(
@@ -276,7 +263,7 @@ def test_the_command_line_decides(skd_here, here, cars):
         ),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
         (["--fail-below", "objectives.paper.deviation=-1"], ["at least 0"]),
-        (["--junit", "same.out", "--csv", "./same.out"], ["--junit same.out: --csv is written there, too"]),
+        (["--junit", "same.out", "--markdown", "./same.out"], ["--junit same.out: --markdown is written there, too"]),
         (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),
         (["--junit", "nowhere/j.xml"], ["--junit nowhere/j.xml", "folder"]),
     ],

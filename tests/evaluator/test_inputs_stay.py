@@ -25,7 +25,6 @@ READ = {  # by the name of an option, whatever command has it: the words that ha
     "names": ["{}/mine.yaml"],
     "simulated": ["{}/file", "other"],
     "physical": ["other", "{}/file"],
-    "reference": ["--reference", "{}/file"],
     "fail_if_worse_than": ["--fail-if-worse-than", "{}"],
     "scenario": ["--scenario", "{}/mine.yaml"],
     "safe": ["--safe", "{}/ways"],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import shutil
 
 import numpy as np
@@ -15,8 +14,6 @@ from PIL import Image
 from report_support import edited
 from shapely import Point, Polygon
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.cli.commands import make_parser, parse
-from skd_evaluator.cli.compare import reference_hint
 from skd_evaluator.cli.show import shown_episode
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.episode_pictures import EpisodePicture
@@ -68,17 +65,6 @@ def test_files_that_a_command_needs_and_only_the_result_has_are_told(tmp_path, s
     assert words[words.index("--scenario") + 1] == name
     write_json(tmp_path / name, content)
     assert load_scenario(str(tmp_path / name)).as_dict() == scenario_from_dict(own["scenario"], "it").as_dict()
-
-
-def test_what_makes_cars_to_compare_with_is_a_command_that_is_understood(subject, monkeypatch):
-    monkeypatch.delenv("SKD_PROGRAM", raising=False)
-    said = reference_hint({**subject.figures, "seed": 7})
-    program, *words = shlex.split(said.partition("This makes them: ")[2])
-    asked = parse(make_parser(), words)
-    assert program == "skd"
-    assert (asked.command, asked.seed, asked.safe_count) == ("sweep", 7, len(subject.episodes.safe))
-    other = {**subject.figures, "scenario": json.loads(json.dumps(load_scenario("cpna-50").as_dict()))}
-    assert "scenarios: [{scenario: cpna-50}]" in reference_hint(other)
 
 
 def test_films(skd_here, here, result, monkeypatch):

@@ -45,7 +45,7 @@ def no_files(here: Path) -> Iterator[Path]:
 @pytest.mark.parametrize(
     "words",
     [
-        *(["assess", *SMALL, "--out", "out", option] for option in ("--csv", "--junit", "--markdown")),
+        *(["assess", *SMALL, "--out", "out", option] for option in ("--junit", "--markdown")),
         ["replay", "recorded", "--out", "out", "--junit"],
         ["report", "recorded", "--overwrite", "--out"],
         ["scenarios", "campaign", "cpna", "--speeds", "20:20:10", "--overwrite", "--out"],
@@ -65,17 +65,17 @@ def test_what_is_no_file_stays_what_it_is(words: list[str], skd_here: Run, here:
 
 def test_a_link_stays_and_what_it_leads_to_is_written(skd_here: Run, here: Path) -> None:
     (here / "elsewhere").mkdir()
-    (here / "elsewhere" / "there.csv").write_text("before")
-    (here / "elsewhere" / "there.csv").chmod(0o640)
-    for name, leads_to in (("figures.csv", "there.csv"), ("new.xml", "new.xml")):
+    (here / "elsewhere" / "there.md").write_text("before")
+    (here / "elsewhere" / "there.md").chmod(0o640)
+    for name, leads_to in (("figures.md", "there.md"), ("new.xml", "new.xml")):
         (here / name).symlink_to(f"elsewhere/{leads_to}")
-    done = skd_here("assess", *SMALL, "--no-pictures", "--csv", "figures.csv", "--junit", "new.xml", "--out", "out")
+    done = skd_here("assess", *SMALL, "--no-pictures", "--markdown", "figures.md", "--junit", "new.xml", "--out", "out")
     assert done.returncode == 0, done.stderr
-    assert (here / "figures.csv").is_symlink()
+    assert (here / "figures.md").is_symlink()
     assert (here / "new.xml").is_symlink()
-    assert names(here / "elsewhere") == ["new.xml", "there.csv"]
-    assert "margin" in (here / "elsewhere" / "there.csv").read_text()
-    assert stat.S_IMODE((here / "elsewhere" / "there.csv").stat().st_mode) == 0o640
+    assert names(here / "elsewhere") == ["new.xml", "there.md"]
+    assert "margin" in (here / "elsewhere" / "there.md").read_text()
+    assert stat.S_IMODE((here / "elsewhere" / "there.md").stat().st_mode) == 0o640
     assert "<testsuite" in (here / "elsewhere" / "new.xml").read_text()
 
 
@@ -83,8 +83,8 @@ def test_a_gate_writes_over_nothing_that_the_command_reads(skd_here: Run, here: 
     (here / "mine.yaml").write_text(SCENARIO)
     (here / "link").symlink_to("mine.yaml")
     for name in ("mine.yaml", "link"):
-        done = skd_here("assess", *SMALL, "--scenario", "mine.yaml", "--csv", name, "--out", "out")
-        one_line(done, 2, f"--csv {name}: is read by this command; give another file")
+        done = skd_here("assess", *SMALL, "--scenario", "mine.yaml", "--markdown", name, "--out", "out")
+        one_line(done, 2, f"--markdown {name}: is read by this command; give another file")
         campaign = ("scenarios", "campaign", "mine.yaml", "--speeds", "20:20:10", "--overwrite", "--out", name)
         one_line(skd_here(*campaign), 2, f"--out {name}: is read by this command; give another file")
     assert (here / "mine.yaml").read_text() == SCENARIO

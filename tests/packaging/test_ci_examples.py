@@ -42,7 +42,7 @@ def test_commands_are_ones_that_there_are(name):
     assert asked.command == "assess"
     for figure, _ in (*asked.fail_below, *asked.fail_above):
         check_figure(figure)
-    assert (str(asked.junit), str(asked.markdown), str(asked.csv)) == ("skd.xml", "skd.md", "skd.csv")
+    assert (str(asked.junit), str(asked.markdown)) == ("skd.xml", "skd.md")
     assert asked.fail_if_worse_than is not None
 
 
@@ -50,7 +50,7 @@ def test_what_is_made_is_kept():
     github = yaml.safe_load((FOLDER / "github-actions.yml").read_text(encoding="utf-8"))
     steps = github["jobs"]["rating"]["steps"]
     (upload,) = [step for step in steps if "upload-artifact" in step.get("uses", "")]
-    made = {"skd-result", "skd.xml", "skd.md", "skd.csv"}
+    made = {"skd-result", "skd.xml", "skd.md"}
     assert set(upload["with"]["path"].split()) == made
     assert upload["if"] == "always()"  # most of all when the gate has failed
     gitlab = yaml.safe_load((FOLDER / "gitlab-ci.yml").read_text(encoding="utf-8"))["skd"]["artifacts"]

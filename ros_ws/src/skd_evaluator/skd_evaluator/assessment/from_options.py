@@ -129,7 +129,7 @@ def default_folder(task: str) -> Path:
     return Path("skd_results") / f"{task}-{stamp}"
 
 
-_WRITTEN = ("out", "junit", "markdown", "csv")
+_WRITTEN = ("out", "junit", "markdown")
 """Options that name what is written."""
 _WORDS = (None, "", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
 """Values that name no file where a path is expected."""

@@ -238,11 +238,6 @@ def _add_compare(commands: Any) -> None:
         "same safe trajectories φ are compared trajectory by trajectory.",
     )
     add_paths(compare, "paths", "DIR", "folder of an assessment; the others are compared with the first")
-    text = (
-        "folder of skd sweep, or of a campaign, whose basic cars are drawn as a curve behind margin and risk: over the "
-        "same safe trajectories, in the same scenario and with the same behaviour model"
-    )
-    compare.add_argument("--reference", type=Path, metavar="DIR", help=text)
     add_flag(compare, "--no-pictures", "draw no pictures beside comparison.json, which saves about half a second")
     add_output_arguments(compare)
 

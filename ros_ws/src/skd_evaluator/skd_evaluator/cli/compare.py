@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import real_path
-from skd_sim.scenario.scenario import scenario_from_dict
 
-from skd_evaluator.assessment.compare.comparability import scenario_difference
 from skd_evaluator.assessment.compare.comparison import MARGIN, Comparison, compare, ranking_figure
 from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.from_options import scenario_for
-from skd_evaluator.assessment.options import SYNTHETIC
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.metrics.behaviour import WALKERS
-from skd_evaluator.report import repeat
-from skd_evaluator.report.charts import RatedCar, alike, basic_cars, rated_car
-from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.charts import alike, rated_car
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
 from skd_evaluator.report.terminal import car_name, print_table
@@ -49,7 +41,6 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     names = labels(results)
     rated = [rated_car(result.figures, name) for result, name in zip(results, names, strict=True)]
     cars = [one for one in rated if one is not None]
-    behind = [] if arguments.reference is None else _reference(arguments.reference, results[0])
     out = result_folder(arguments)
     rows = [
         {
@@ -81,7 +72,6 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         "ranked_by": ranked_by,
         "confidence": confidence,
         "comparisons": entries,
-        "reference": [one.as_dict() for one in behind],
         "warnings": warnings,
     }
 
@@ -106,7 +96,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         if shown:  # curves of unlike kind say nothing beside each other
             save_vulnerability(folder / "vulnerability.png", shown)
         if ranked_by == MARGIN and len(cars) == len(results) and all(_one_scale(results[0], one) for one in results):
-            save_rating(folder / "rating.png", [*cars, *behind])
+            save_rating(folder / "rating.png", cars)
 
     read = is_read(show)  # before the pictures, which take longer than the figures
     problem = out.save(write)
@@ -122,51 +112,6 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 def _one_scale(first: StoredResult, other: StoredResult) -> bool:
     """Return whether margins and risks of two results may stand in one picture."""
     return alike(first.figures, other.figures) and first.same_safe(other.safe)
-
-
-def _reference(folder: Path, first: StoredResult) -> list[RatedCar]:
-    """Return the basic cars of a folder that may stand behind a result.
-
-    Raises:
-        UsageError: there are fewer than two.
-    """
-    found = []
-    for subject in read_subjects([folder]):
-        car = rated_car(subject.figures, subject.label, behind=True)
-        same = first.same_safe(subject.episodes.safe) and alike(subject.figures, first.figures)
-        if car is not None and same and not scenario_difference(*map(_scenario, (subject.figures, first.figures))):
-            found.append(car)
-    curve = basic_cars(found)
-    if not curve:
-        raise UsageError(
-            f"--reference {folder}: has no two basic cars with margin and risk over the φ of {first.folder}, in its "
-            f"scenario and with its behaviour model. {reference_hint(first.figures)}"
-        )
-    return curve
-
-
-_REFERENCE = ("0.75", "1", "1.25")
-
-
-def reference_hint(figures: Mapping[str, Any]) -> str:
-    """Return the command that makes basic cars to compare a result with: over its φ, in its scenario."""
-    safe, count = str(figures["safe"]), len(figures["per_safe_trajectory"])
-    scenario = repeat.scenario_name(figures) or repeat.SCENARIO_FILE
-    behaviour = (repeat.behaviour_name(figures) or repeat.BEHAVIOUR_FILE) if figures.get("risk") else WALKERS
-    if scenario != scenario_for(None, safe).name:
-        return (
-            f"A campaign makes them, whose file says `cars: [{{controller: basic, sweep: {{multiplier: "
-            f"[{', '.join(_REFERENCE)}]}}}}]`, `scenarios: [{{scenario: {scenario}}}]` and `defaults: {{seed: "
-            f"{figures['seed']}, safe: {safe}, safe_count: {count}, behaviour: {behaviour}}}`"
-        )
-    words = [repeat.program(), "sweep", "--multipliers", *_REFERENCE, "--seed", str(figures["seed"])]
-    words += ["--safe-count", str(count)] if safe == SYNTHETIC else ["--safe", safe, "--safe-count", str(count)]
-    words += ["--behaviour", behaviour] if behaviour != WALKERS else []
-    return f"This makes them: {shlex.join([*words, '--out', 'skd_results/reference'])}"
-
-
-def _scenario(figures: Mapping[str, Any]) -> dict[str, Any]:
-    return scenario_from_dict(figures["scenario"], "a result").as_dict()
 
 
 def _curves(result: StoredResult, *, margins: bool) -> dict[str, Any]:

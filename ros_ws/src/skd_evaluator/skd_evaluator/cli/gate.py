@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # this module is imported at every start, and has to be light
     from skd_evaluator.assessment.compare.gate import Check, Limit
     from skd_evaluator.assessment.files.results import StoredResult
 
-_FILES = ("junit", "markdown", "csv")
+_FILES = ("junit", "markdown")
 
 
 def figure_limit(text: str) -> tuple[str, float]:
@@ -63,7 +63,6 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
             "meet one, an error that nothing can be said of the car",
         ),
         ("markdown", "write the figures and what became of these conditions to this file, as a Markdown page"),
-        ("csv", "write the car's figures to this file, one per line, with their intervals"),
     ):
         group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
 
@@ -75,7 +74,7 @@ class Gate:
     Attributes:
         limits: the limits that figures have to keep.
         earlier: result that the car must not fall behind.
-        files: the files to write, by kind: junit, markdown, csv.
+        files: the files to write, by kind: junit, markdown.
     """
 
     limits: tuple[Limit, ...]
@@ -117,12 +116,11 @@ class Gate:
 
     def write(self, result: Mapping[str, Any], checks: list[Check]) -> str | None:
         """Write the files, and return why that failed, in one line; none where all is well."""
-        from skd_evaluator.report.summary import csv_table, junit_xml, markdown
+        from skd_evaluator.report.summary import junit_xml, markdown
 
         texts = {
             "junit": lambda: junit_xml(result, checks),
             "markdown": lambda: markdown(result, checks),
-            "csv": lambda: csv_table(result),
         }
         try:
             for name, path in self.files.items():

@@ -391,7 +391,6 @@ class RatedCar:
         margin: margin of the car, m.
         margin_ci95: 95 % interval of it, by φ.
         risks: at each of `SCALES`, the risk and its 95 % interval by φ, else that for these φ.
-        behind: whether it is there for the curve alone.
     """
 
     label: str
@@ -399,18 +398,9 @@ class RatedCar:
     margin: float
     margin_ci95: Interval
     risks: tuple[tuple[float, Interval], ...]
-    behind: bool = False
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return its entry of comparison.json."""
-        found: dict[str, Any] = {"car": self.label, "multiplier": self.multiplier, "margin": self.margin}
-        found["margin_ci95"] = self.margin_ci95
-        for scale, (value, ends) in zip(SCALES, self.risks, strict=True):
-            found |= {f"risk_{scale:g}": value, f"risk_{scale:g}_ci95": ends}
-        return found
 
 
-def rated_car(figures: Mapping[str, Any], label: str, *, behind: bool = False) -> RatedCar | None:
+def rated_car(figures: Mapping[str, Any], label: str) -> RatedCar | None:
     """Return what is drawn of an assessment; None where margin or risk is not known."""
     margin = figures["margin"]
     if margin is None or any(figures.get(f"risk_{scale:g}") is None for scale in SCALES):
@@ -426,7 +416,7 @@ def rated_car(figures: Mapping[str, Any], label: str, *, behind: bool = False) -
         risks.append((value, (float(low), float(high))))
     low, high = figures["margin_ci95"] or (margin, margin)
     multiplier = float(figures["multiplier"]) if basic else None
-    return RatedCar(label, multiplier, float(margin), (float(low), float(high)), tuple(risks), behind)
+    return RatedCar(label, multiplier, float(margin), (float(low), float(high)), tuple(risks))
 
 
 def basic_cars(cars: Sequence[RatedCar]) -> list[RatedCar]:
@@ -491,7 +481,7 @@ def rating_charts(subjects: Sequence[Subject]) -> list[tuple[str, list[Spec]]]:
 
 
 def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
-    """Save margin against the risk at each scale, those that are there for the curve alone included."""
+    """Save margin against the risk at each scale, basic cars as a curve where there are several."""
     charts = [_rating(cars, place) for place in range(len(SCALES))]
     save_charts(path, charts, "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below")
 

@@ -1,29 +1,20 @@
-"""An assessment as a page of Markdown, as comma-separated values, and as JUnit XML.
+"""An assessment as a page of Markdown, and as JUnit XML.
 
 A test case that *failed* says something about the car; one with an *error* says that it could not be looked at.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
 from skd_evaluator.assessment.compare.gate import Check
-from skd_evaluator.assessment.figure_table import CI95, FIGURES, THESE_PHI, Told, shown_in
-from skd_evaluator.assessment.files.assessment_json import scalar_figures
+from skd_evaluator.assessment.figure_table import shown_in
 from skd_evaluator.report.formats import BARE, margin_warnings, ninety
 from skd_evaluator.report.terminal import car_name, headline
 
-_NOT_BY_PHI = {one.key for one in FIGURES if one.independent == CI95}
-"""Figures whose only interval takes trials or pairs as independent, under the plain key."""
-_INDEPENDENT = {one.independent for one in FIGURES} - {"", CI95} | {THESE_PHI}
-_PARTS = ("clustering", "per_safe_trajectory", "behaviour", "scales", "failures", "surrogate_measures")
-"""Of what a figure is made, or what is no rating: assessment.json has it, and surrogate_measures.csv."""
-_LEFT_OUT = {one.key for one in FIGURES if one.told is Told.ASKED} | {"vulnerability_curve"}
 _MARKS = {"passed": "✅", "failed": "❌", "error": "⚠️"}
 
 
@@ -53,11 +44,6 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     return "\n".join([*lines, _origin(result)]).rstrip() + "\n"
 
 
-def _independent(around: Mapping[str, Any], name: str) -> Sequence[float] | None:
-    """Return the interval of a figure that takes what it is over as independent: its pairs, trials or runs."""
-    return next((around[key] for end in _INDEPENDENT if around.get(key := f"{name}_{end}")), None)
-
-
 def _origin(result: Mapping[str, Any]) -> str:
     origin = result["provenance"]
     said = f"SKD {result['version']}, seed {result['seed']}, {result['seconds']:.1f} s"
@@ -65,37 +51,6 @@ def _origin(result: Mapping[str, Any]) -> str:
         return said
     revision = f", revision {origin['git']['revision'][:12]}" if origin["git"] else ""
     return f"{said}, {origin['date']}, {_cell(origin['host'])}{revision}: `{_cell(origin['command']).replace('`', '')}`"
-
-
-def csv_table(result: Mapping[str, Any]) -> str:
-    """Return the figures of the car that are one number, a line each: name, value, and intervals where it has any.
-
-    What they are made of, such as figures of each φ, is left to assessment.json.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["figure", "value", "ci95_low", "ci95_high", "ci95_independent_low", "ci95_independent_high"])
-    names = {name.rpartition(".")[2] for name in scalar_figures()}
-    for name, value, around in _numbers(result, ""):
-        last = name.rpartition(".")[2]
-        if last in names or "probability_bound." in name:
-            by_phi, independent = around.get(f"{last}_ci95"), _independent(around, last)
-            if last in _NOT_BY_PHI:
-                by_phi, independent = None, by_phi
-            writer.writerow([name, value, *(by_phi or ("", "")), *(independent or ("", ""))])
-    return text.getvalue()
-
-
-def _numbers(content: Any, name: str) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
-    items = content.items() if isinstance(content, Mapping) else enumerate(content)
-    for key, value in items:
-        path = f"{name}.{key}" if name else str(key)
-        if path in _LEFT_OUT or key in _PARTS:
-            continue
-        if isinstance(value, (Mapping, list)) and not str(key).startswith("interval") and "ci95" not in str(key):
-            yield from _numbers(value, path)
-        elif isinstance(value, (int, float)) and not isinstance(value, bool) and isinstance(content, Mapping):
-            yield path, value, content
 
 
 def _cell(text: str) -> str:

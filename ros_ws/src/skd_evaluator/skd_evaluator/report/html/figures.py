@@ -199,22 +199,6 @@ def same_safe(subject: Subject) -> list[str]:
     return [" and ".join(group) for group in groups.values() if len(group) > 1]
 
 
-def timing_row(subject: Subject) -> dict[str, str]:
-    """Return what is known of the time that an assessment took."""
-    episodes = subject.episodes
-    kamikaze = episodes.mode == Mode.KAMIKAZE
-    decisions = sum(len(way) - 1 for way, mine in zip(episodes.adversary, kamikaze, strict=True) if mine)
-    seconds, count = float(subject.figures["seconds"]), len(episodes) + int(subject.figures["aborted"])
-    return {
-        "kamikazes": f"{int(kamikaze.sum()):,}",
-        "decisions": f"{decisions:,}",
-        "simulations": f"{subject.figures['simulations']:,}",
-        "runs": f"{len(episodes) - int(kamikaze.sum()):,}",
-        "seconds": number(seconds, 1),
-        "each": number(1000.0 * seconds / count, 2) if count else NOTHING,
-    }
-
-
 def _origin_rows(origin: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     """Return what `provenance` of a result says; a replayed or older one may lack it."""
     if origin is None:

@@ -145,7 +145,6 @@ def _view(subject: Subject) -> dict[str, Any]:
         "walkers": [name for name, _ in surrogate_groups(subject.figures)],
         "same_safe": figures.same_safe(subject),
         "warnings": figures.warnings_of(subject),
-        "timing": figures.timing_row(subject),
         "made": figures.made_rows(subject),
         "scenario": _json_text(subject.figures["scenario"]),
         "scenario_link": "" if scenario_name(subject.figures) else _link(subject.figures["scenario"]),
