@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import errno
-import gc
 import itertools
 import json
 import os
@@ -46,12 +44,6 @@ def recomputed(arrays: np.lib.npyio.NpzFile) -> tuple[list[float], np.ndarray]:
 @pytest.mark.parametrize("out", ["/dev/null/x", "/proc/x", "good.csv", "a" * 300])
 def test_unwritable_output(skd_here, out):
     one_line(skd_here("assess", *SMALL, "--out", out), 2, f"--out {out}")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="permissions do not bind root")
-def test_output_without_permission(here):
-    (here / "closed").mkdir(mode=0o500)
-    one_line(skd("assess", *SMALL, "--out", "closed/out", cwd=here), 2, "closed/out", "Permission denied")
 
 
 def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
@@ -107,18 +99,6 @@ def test_failing_controller(here, name, workers, parts):
     )  # fmt: skip
     one_line(done, 1, f"my_cars:{name}", *parts)
     assert not (here / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "workers", "parts"),
-    [
-        ("Exits", "2", ["my_cars:Exits", "SystemExit: 3"]),
-        ("FailsInReset", "1", ["my_cars:FailsInReset", "reset failed with RuntimeError: no start"]),
-    ],
-)
-def test_controller_that_ends_the_process(here, name, workers, parts):
-    mine = ("--knowledge", "nothing", "--controller", f"my_cars:{name}", "--workers", workers, "--safe", "good.csv")
-    one_line(skd("assess", *SMALL, *mine, cwd=here), 1, *parts)
 
 
 def test_user_controller_is_assessed(here):
@@ -201,14 +181,6 @@ def test_sweep(here):
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
 
 
-def test_sweep_whose_figures_do_not_vary(here):
-    """Spearman's ρ is not defined where every contact rate is the same."""
-    sizes = ["--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "5"]
-    done = skd("sweep", *sizes, "--workers", "1", "--multipliers", "3", "4", "5", "--json", cwd=here)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["spearman_with_multiplier"]["synthetic"]["contact_rate"] is None
-
-
 @pytest.mark.parametrize(
     ("asked", "multipliers", "code"),
     [(["--collision-runs", "12"], ("0", "1.5"), 0), (["-p", "maximum_distance:=0.1"], ("1.125", "8"), 1)],
@@ -230,13 +202,6 @@ def test_sweep_says_of_each_car_what_its_assessment_says(here, asked, multiplier
         for line in done.stderr.splitlines()
     ]
     assert heard == said != []
-
-
-def test_reader_of_the_pipe_goes_away(here):
-    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--json"]
-    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        process.stdout.close()
-        assert process.stderr.read() == ""
 
 
 # --- interruption
@@ -345,26 +310,6 @@ def test_interrupt_prints_what_there_is(here, as_json):
     assert not (here / "out").exists()
 
 
-@pytest.mark.parametrize("extra", [[], ["--json"]], ids=["table", "json"])
-def test_full_disk_does_not_take_the_figures_along(here, skd_here, monkeypatch, extra):
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("skd_evaluator.assessment.files.episodes_npz.np.savez_compressed", full)
-    done = skd_here("assess", *SMALL, "--margin-limit", "0", "--out", "out", *extra)
-    assert done.returncode == 1
-    assert done.stderr == "skd assess: nothing was written: [Errno 28] No space left on device\n"
-    found = (
-        json.loads(done.stdout)["skd"]
-        if extra
-        else re.search(r"SKD \(m\), 100.0 % of trials collide[^\d]+([\d.]+)", done.stdout)[1]
-    )
-    assert 0.5 < float(found) < 20.0
-    assert "results in" not in done.stdout
-    gc.collect()  # the folder is given back with what was to fill it
-    assert not (here / "out").exists()
-
-
 def waiting_run(here: Path) -> ForkedSkd:
     """Start an assessment that has begun and goes on once there is a file `go`."""
     (here / "my_cars.py").write_text(
@@ -385,19 +330,6 @@ def test_two_runs_with_one_folder(here):
     done = first.finish(PATIENCE)
     assert done.returncode == 0, done.stderr
     assert json.loads((here / "out" / "assessment.json").read_text())["pairs"] == 2
-
-
-def test_folder_that_somebody_fills_meanwhile_is_left_alone(here):
-    process = waiting_run(here)
-    (here / "out" / "thesis.txt").write_text("years of work")
-    (here / "go").touch()
-    done = process.finish(PATIENCE)
-    assert done.returncode == 1
-    assert "something was put there meanwhile; the results are in" in done.stderr, done.stderr
-    assert "SKD (m)" in done.stdout
-    assert (here / "out" / "thesis.txt").read_text() == "years of work"
-    assert names(here / "out") == ["thesis.txt"]
-    assert json.loads((here / "out-2" / "assessment.json").read_text())["pairs"] == 2
 
 
 # --- help

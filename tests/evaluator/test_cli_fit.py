@@ -42,12 +42,6 @@ def test_probe_leaves_logs(probe):
     assert sum(summary["outcomes"].values()) == 60
 
 
-def test_probe_is_the_same_with_more_workers(probe, tmp_path):
-    out = tmp_path / "again"
-    assert run("probe", "--multiplier", "0.75", "--episodes", "60", "--workers", "2", "--out", out) == 0
-    assert (out / "episodes.npz").read_bytes() == (probe / "episodes.npz").read_bytes()
-
-
 def test_fit_writes_the_model(model):
     data = yaml.safe_load((model / "car_model.yaml").read_text())
     trigger = data["parameters"]["trigger"]
@@ -142,21 +136,8 @@ def test_an_episode_that_is_given_twice_counts_once(tmp_path):
     assert (twice / "car_model.yaml").read_text() == (once / "car_model.yaml").read_text()
 
 
-def test_logs_are_not_replaced_by_the_model_that_is_learned_from_them(probe, capsys):
-    assert run("fit", probe / "episodes.npz", "--out", probe, "--overwrite") == 2
-    assert "holds" in capsys.readouterr().err
-    assert (probe / "episodes.npz").exists()
-
-
 def test_a_model_of_another_car_is_refused(model, tmp_path, capsys):
     arguments = ("--car-model", model, "--scenario", "citr_crossing", "--out", tmp_path / "out")
     assert run("assess", *arguments) == 2
     assert "front is 2.25 m" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_what_is_not_identifiable_is_said_once_below_the_table(tmp_path, capsys):
-    assert run("probe", "--multiplier", "0", "--episodes", "6", "--out", tmp_path / "probe") == 0
-    assert run("fit", tmp_path / "probe", "--out", tmp_path / "model") == 0
-    out = capsys.readouterr().out
-    assert out.count("not identifiable: the car never brakes in 6 logs") == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -38,12 +37,6 @@ def test_what_is_needed_and_missing_is_an_error(capsys, monkeypatch):
     captured = capsys.readouterr()
     assert "!! packages: a_package_that_nobody_has cannot be imported: cd " in captured.out
     assert captured.err.startswith("skd doctor: packages")
-
-
-def test_what_is_optional_and_missing_is_none(capsys, monkeypatch, tmp_path: Path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert main(["doctor", "--no-round-trip"]) == 0
-    assert "-- ffmpeg: not installed; for films" in capsys.readouterr().out
 
 
 def test_without_ros_nothing_is_installed(monkeypatch):

@@ -26,7 +26,6 @@ from skd_evaluator.driving.drive import (
     Situation,
     Wish,
     driving_in_process,
-    key_names,
 )
 from skd_evaluator.driving.screen import KEYS, Screen, top_view
 from skd_evaluator.metrics.surrogate_measures import clearance_at
@@ -41,11 +40,6 @@ NORTH = 0.5 * math.pi
 
 def of_keys(**changes: float) -> Episode:
     return Plan(replace(SCENARIO, **changes)).episode(Mode.SAFE, 0, 0, None)
-
-
-@given(st.text(max_size=30))
-def test_whatever_a_terminal_sends_is_some_keys(text):
-    assert all(name in ("up", "down", "left", "right", "escape") or len(name) <= 3 for name in key_names(text))
 
 
 def test_a_hand_goes_where_the_last_key_pointed_until_it_stands():
@@ -126,14 +120,6 @@ def test_the_picture_is_to_scale():
     assert lines[row].index("●") - front == pytest.approx((10.0 - 2.25) / 0.5, abs=1)
     moved = top_view(situation(CarState(0.0, -10.0, 0.0, 8.0), adversary), 80, 18).plain
     assert max(line.count("█") for line in moved.splitlines()) <= 4  # it points down: 1.8 m wide
-
-
-@given(st.floats(-100.0, 100.0), st.floats(-20.0, 20.0))
-def test_both_are_in_the_picture(y, x):
-    """Up to the greatest scale: 4 m a letter, 320 m by 144 m."""
-    shown = top_view(situation(CarState(0.0, y, NORTH, 3.0), AdversaryState(x, 0.0, 0.0, 0.0)), 80, 18).plain
-    assert "●" in shown
-    assert set(shown) & set("█▀▄")
 
 
 @given(st.floats(-5.0, 5.0), st.floats(-20.0, 20.0))

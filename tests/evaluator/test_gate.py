@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -63,15 +62,6 @@ def test_limits_hold_on_their_own_side(result):
         assert most.passed == (value <= limit)
 
 
-def test_what_is_not_defined_is_no_verdict_on_the_car(result):
-    (found,) = check_limits({**result, "optimality_gap": None}, [Limit("optimality_gap", 0.1)])
-    assert (found.error, found.failed) == (True, False)
-    beyond = {**result, "equivalent_multiplier": None, "equivalent_multiplier_text": "above 1.5"}
-    assert figure(beyond, "equivalent_multiplier") == math.inf
-    assert figure({**beyond, "equivalent_multiplier_text": "below 0.5"}, "equivalent_multiplier") == -math.inf
-    assert figure({**beyond, "equivalent_multiplier_text": None}, "equivalent_multiplier") is None
-
-
 def test_every_number_of_a_result_has_a_name_that_is_known(result):
     """But for what was asked for; and no name is known that the schema has for something else."""
 
@@ -111,15 +101,6 @@ def test_no_gate_passes_with_figures_that_are_not_credible(result):
     assert markdown(doubted, checks).startswith("## ⚠️")
     (failures,) = [one.checks(result, None, []) for one in [Gate((), None, {})]]
     assert failures[0].passed
-
-
-def test_a_car_is_held_against_an_earlier_one(cars):
-    safe, easily_hit = cars[1.15], cars[0.5]
-    worse = check_not_worse(easily_hit, read_result(safe))
-    assert (worse.failed, worse.error) == (True, False)
-    assert "less safe" in worse.text
-    assert check_not_worse(safe, read_result(easily_hit)).passed
-    assert check_not_worse(safe, read_result(safe)).passed
 
 
 class Aborting:

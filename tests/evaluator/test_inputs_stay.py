@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_support import CONTROLLERS, CROSSING, SMALL, one_line
+from cli_support import CONTROLLERS, CROSSING, one_line
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands import commands_of, make_parser
 from skd_sim.errors import UsageError
@@ -73,25 +71,6 @@ def test_every_input_of_every_command_is_kept(command: str, tmp_path: Path, monk
     words = [*needed, *["other"] * (2 if command == "fuse" else len(positional))]
     beside = make_parser().parse_args([command, *words, "--out", "base", "--overwrite"])
     assert result_folder(beside).path == Path("base")
-
-
-def test_a_gate_that_failed_does_not_replace_what_it_was_held_against(skd_here: Run, here: Path, sweep: Path) -> None:
-    """The same command passed when it was given a second time: the worse car had taken the place of the better."""
-    shutil.copytree(sweep / "synthetic" / "C_1", here / "base")
-    before = json.loads((here / "base" / "assessment.json").read_text())
-    words = ["assess", *SMALL, "--multiplier", "0.5", "--out", "base", "--overwrite", "--fail-if-worse-than", "base"]
-    for _ in range(2):
-        one_line(skd_here(*words), 2, "--out base: holds base, " + SAID)
-        assert json.loads((here / "base" / "assessment.json").read_text()) == before
-
-
-def test_a_scenario_that_another_one_builds_upon_stays_too(skd_here: Run, here: Path, sweep: Path) -> None:
-    shutil.copytree(sweep / "synthetic" / "C_1", here / "base")
-    (here / "base" / "first.yaml").write_text(SCENARIO)
-    (here / "second.yaml").write_text("name: second\ndescription: second\nextends: base/first.yaml\n")
-    done = skd_here("assess", *SMALL, "--scenario", "second.yaml", "--out", "base", "--overwrite")
-    one_line(done, 2, "--out base: holds base/first.yaml", SAID)
-    assert (here / "base" / "first.yaml").read_text() == SCENARIO
 
 
 def test_a_campaign_keeps_what_it_reads_and_can_be_resumed(skd_here: Run, here: Path) -> None:

@@ -45,17 +45,6 @@ def noisy(here: Path, first: Callable[[], object]) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def with_streams(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    return noisy(tmp_path_factory.mktemp("streams"), first=lambda: None)
-
-
-@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
-def test_closed_streams_lead_nowhere(tmp_path: Path, with_streams: bytes, closed: tuple[int, ...]) -> None:
-    """What is printed must not come into a file that has got the number of a closed stream."""
-    assert noisy(tmp_path, first=lambda: [os.close(one) for one in closed]) == with_streams
-
-
-@pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     here = tmp_path_factory.mktemp("results")
     (here / "good.csv").write_text(CROSSING)

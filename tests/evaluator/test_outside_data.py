@@ -20,15 +20,11 @@ from cli_support import one_line
 from skd_adversary.car_models.car_model_file import LawCalibration, car_model_for_scenario, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
-from skd_evaluator.assessment.files.verification import folders_below
 from skd_evaluator.assessment.stages.risk import risk_request
-from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
-from skd_evaluator.report.history import find_runs
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 
-HERE = Path(__file__).parent
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
 
@@ -126,14 +122,6 @@ def closed() -> Iterator[Path]:
             if root:
                 os.seteuid(0)
             (folder / "closed").chmod(0o700)
-
-
-def test_a_folder_that_nobody_may_look_into_is_not_left_out_without_a_word(closed):
-    (run,) = find_runs([closed])
-    assert (run.folder, run.remark) == (closed / "closed", "cannot be looked into (Permission denied)")
-    for read in (folders_below, lambda folder: read_recordings([folder])):
-        with pytest.raises(UsageError, match=r"closed: cannot be looked into \(Permission denied\)"):
-            read(closed)
 
 
 def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):

@@ -89,18 +89,6 @@ def test_trajectories(tmp_path, counts):
     drawn(tmp_path / "picture.png")
 
 
-@pytest.mark.parametrize("north", [-12.0, 40.0])
-def test_trajectories_that_walk_along_the_lane(tmp_path, north):
-    draw(tmp_path / "picture.png", assessment([2, 2, 2], north=north))
-    drawn(tmp_path / "picture.png")
-
-
-def test_names_of_any_length_and_kind(tmp_path):
-    for number, name in enumerate(("a_recording_with_a_very_long_name_" * 4, "cost_$5_and_$6_{", "")):
-        draw(tmp_path / f"{number}.png", assessment([2, 2], name=name))
-        drawn(tmp_path / f"{number}.png")
-
-
 def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
     return {
         "kind": kind,

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from comparison_support import FIGURES
 from skd_evaluator import library
-from skd_evaluator.assessment.compare.comparison import NOT_TOLD_APART, compare
 from skd_evaluator.assessment.compare.gate import not_worse
 from skd_evaluator.assessment.files import results as stored_result
 from skd_evaluator.assessment.files.result_folder import MANIFEST
@@ -82,16 +81,6 @@ def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
 
 class MyCar:
     """A car whose name is all that is wanted."""
-
-
-def test_a_class_is_named_by_its_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, Path]] = []
-    rating = SimpleNamespace(as_dict=dict, for_skd=HAS_SKD)
-    monkeypatch.setattr(library, "assess", lambda name, *, out, **_options: asked.append((name, out)) or rating)
-    skd = Skd(tmp_path)
-    assert skd.assess(MyCar, seed=1) is skd.assess(MyCar, seed=1)
-    assert skd.assess(MyCar, seed=2) is not skd.assess(MyCar, seed=1)
-    assert asked == [(f"{__name__}:MyCar", tmp_path / "0"), (f"{__name__}:MyCar", tmp_path / "1")]
 
 
 @pytest.mark.filterwarnings("ignore:not worse than")
@@ -166,15 +155,6 @@ def mine(monkeypatch: pytest.MonkeyPatch) -> Assessed:
     return Assessed(SimpleNamespace(as_dict=dict), Path("mine"))
 
 
-def test_a_car_is_worse_where_the_gate_fails(mine: Assessed) -> None:
-    """By the margin for sure, though the estimate of R(2) points the other way: no verdict, and yet no pass."""
-    better = stored_result.read_result(Path("better car"))
-    assert compare(better, stored_result.read_result(Path("mine"))).verdict == NOT_TOLD_APART
-    with pytest.warns(UserWarning, match="not worse than better car: not told apart: margin -0.500 m.*R\\(2\\)"):
-        assert mine.is_worse_than("better car")
-    assert not mine.is_worse_than("worse car")
-
-
 @pytest.mark.parametrize(
     ("margins", "bound", "why"),
     [
@@ -195,10 +175,3 @@ def test_no_gate_passes_by_an_upper_bound(margins: tuple[float, float], bound: s
     assert (check.failed, check.error, check.passed) == (why == "worse", why not in (None, "worse"), why is None)
     if check.error:
         assert re.search(why or "", check.text)
-
-
-@pytest.mark.parametrize(("other", "why"), [("at a crossing", "different scenarios"), ("of one phi", "too few φ")])
-def test_nothing_is_said_of_cars_that_do_not_compare(mine: Assessed, other: str, why: str) -> None:
-    """It had been *not worse*, so that a test passed beside whatever result."""
-    with pytest.raises(AssessmentError, match=f"^not worse than {other}: not compared.*{why}.*"):
-        mine.is_worse_than(other)

@@ -17,7 +17,7 @@ from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.presentation import picture_names
 from skd_evaluator.report.terminal import headline_table
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective, objectives_named
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from stages import rate
@@ -99,11 +99,6 @@ def test_of_frechet_and_deviation_each_is_first_in_its_own() -> None:
     assert list(picture_names(found)) == ["trajectories.png", "trajectories_frechet.png"]
 
 
-def test_names_of_objectives() -> None:
-    assert objectives_named("both") == (DEVIATION, PAPER)
-    assert [objectives_named(str(one)) for one in Objective] == [(one,) for one in Objective]
-
-
 def test_the_mean_deviation_is_recomputable_from_disk(both: Assessment, tmp_path) -> None:
     """By numpy alone: interpolation in time, at ten times in each tick and at the contact."""
     write_assessment(tmp_path, both)
@@ -151,12 +146,6 @@ def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
     assert figures["paper"]["discarded_by_distance"] == 4
     # What a trial needed does not depend on what is kept.
     assert figures["paper"]["deviation"] == free.as_dict()["objectives"]["paper"]["deviation"]
-
-
-def test_eta_max_is_the_scenario_s() -> None:
-    plan = replace(PLAN, scenario=replace(CROSSING, eta_max=2.5))
-    found = rate(plan, [DEVIATION], [straight()], StubRunner(lambda _episode: Outcome.MISSED)).as_dict()
-    assert (found["deviation"], found["eta_max"], found["objectives"]["deviation"]["failed"]) == (2.5, 2.5, 8)
 
 
 def impacts(*speeds: float) -> list[EpisodeLog]:

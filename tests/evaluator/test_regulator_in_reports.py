@@ -124,14 +124,6 @@ def test_each_car_and_scenario_has_a_grid_and_seeds_share_their_cells():
     assert views[0].grid.cells[0].margin == 2.0
 
 
-def test_columns_are_target_speeds_where_the_matrix_has_these():
-    place = load_scenario("ccftap").protocol.impact_places[0]
-    results = [found("ccftap", speed, place, touched=9.0, **{"protocol.speed": 45.0 * KMH}) for speed in (10.0, 20.0)]
-    (view,) = views_of([found("ccftap", 10.0, place), *results], 0.5)
-    assert view.layout.columns == ("30 km/h", "45 km/h")
-    assert [cell.colour for cell in view.grid.cells] == ["green", "red", "red"]
-
-
 @pytest.mark.parametrize(
     ("result", "why"),
     [

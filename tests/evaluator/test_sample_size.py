@@ -62,20 +62,6 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert "ask for a wider interval" in capsys.readouterr().err
 
 
-def student_width(between: float, within: float, safe: int, trials: int, confidence: float) -> float:
-    """Return the mean of 2·t·s/√m over samples of means, by scipy's χ distribution."""
-    freedom = safe - 1
-    root = stats.chi(freedom).mean() / math.sqrt(freedom)
-    quantile = stats.t.ppf(0.5 + confidence / 2.0, freedom)
-    return float(2.0 * quantile * root * math.sqrt((between + within / trials) / safe))
-
-
-def test_without_prior_the_width_is_students():
-    for safe, trials, confidence in ((2, 1, 0.95), (7, 3, 0.8), (60, 20, 0.99), (10_000, 1, 0.95)):
-        expected = student_width(0.09, 0.25, safe, trials, confidence)
-        assert expected_width(0.09, 0.25, safe, trials, confidence=confidence) == pytest.approx(expected, rel=1e-9)
-
-
 def test_a_prior_is_left_out_where_it_can_say_nothing():
     """Of one trial on each φ, of values without variance, and of many φ; 10⁻³⁰⁰ m² had been a traceback."""
     for within, safe, trials, student in (
@@ -109,10 +95,3 @@ def test_sizes_are_of_two_to_ten_thousand_phi():
     (size,) = sizes_for_width(least, 0.1, 0.1, counts=[10])
     assert (size.safe, size.width) == (10_000, least)
     assert sizes_for_width(math.nextafter(least, 0.0), 0.1, 0.1, counts=[10]) == []
-
-
-@pytest.mark.parametrize(("paired", "cars"), [(True, 1), (False, 2)])
-def test_a_size_says_how_wide_the_difference_will_be(paired, cars):
-    (size,) = sizes_for_power(0.1, 0.8, 0.005, 0.08, paired=paired, counts=[20])
-    assert size.width == expected_width(cars * 0.005, cars * 0.08, size.safe, 20)
-    assert size.power == power(0.1, 0.005, 0.08, size.safe, 20, paired=paired)

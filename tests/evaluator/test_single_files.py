@@ -63,22 +63,6 @@ def test_what_is_no_file_stays_what_it_is(words: list[str], skd_here: Run, here:
     assert not (here / "out").exists()
 
 
-def test_a_link_stays_and_what_it_leads_to_is_written(skd_here: Run, here: Path) -> None:
-    (here / "elsewhere").mkdir()
-    (here / "elsewhere" / "there.md").write_text("before")
-    (here / "elsewhere" / "there.md").chmod(0o640)
-    for name, leads_to in (("figures.md", "there.md"), ("new.xml", "new.xml")):
-        (here / name).symlink_to(f"elsewhere/{leads_to}")
-    done = skd_here("assess", *SMALL, "--no-pictures", "--markdown", "figures.md", "--junit", "new.xml", "--out", "out")
-    assert done.returncode == 0, done.stderr
-    assert (here / "figures.md").is_symlink()
-    assert (here / "new.xml").is_symlink()
-    assert names(here / "elsewhere") == ["new.xml", "there.md"]
-    assert "margin" in (here / "elsewhere" / "there.md").read_text()
-    assert stat.S_IMODE((here / "elsewhere" / "there.md").stat().st_mode) == 0o640
-    assert "<testsuite" in (here / "elsewhere" / "new.xml").read_text()
-
-
 def test_a_gate_writes_over_nothing_that_the_command_reads(skd_here: Run, here: Path) -> None:
     (here / "mine.yaml").write_text(SCENARIO)
     (here / "link").symlink_to("mine.yaml")
@@ -107,12 +91,6 @@ def test_a_full_disk_leaves_what_was_there(there: str | None, skd_here: Run, her
     one_line(done, 1, "--out place/c.yaml: nothing was written: File too large")
     assert names(here / "place") == ([] if there is None else ["c.yaml"])
     assert there is None or (here / "place" / "c.yaml").read_text() == there
-
-
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(AssessmentError, match=r"--out .*/file/out.html: nothing was written: "):
-        report._write(tmp_path / "file" / "out.html", "whole", overwrite=True)
 
 
 def test_what_cannot_be_finished_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

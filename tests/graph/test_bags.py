@@ -181,12 +181,6 @@ def test_one_recording_split_over_files(replays_the_same: Check, campaign: Campa
     replays_the_same(bag)
 
 
-def test_a_namespaced_recording(replays_the_same: Check, campaign: Campaign, tmp_path: Path) -> None:
-    items = [dataclasses.replace(item, topic=f"/rig_3{item.topic}") for item in read_items(files_of(campaign))]
-    write_items(tmp_path / "rig.mcap", items)
-    replays_the_same(tmp_path / "rig.mcap")
-
-
 def test_two_campaigns_and_the_choice_between_them(
     campaigns: dict[float, Campaign],
     refused: Callable[..., str],

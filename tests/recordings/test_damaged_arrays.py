@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_forge import Sent, forged
 from common import run_skd
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.bags.checks import not_credible_beside
@@ -115,14 +114,6 @@ def test_a_value_that_cannot_be(copy: Path, refused: Refused, name: str, value: 
     assert "episodes.npz" in refused(edited(copy, put(name, value)))
 
 
-@pytest.mark.parametrize("outcome", [0, 2, 9])
-def test_an_outcome_that_cannot_be(copy: Path, refused: Refused, outcome: int) -> None:
-    with np.load(copy / "episodes.npz") as arrays:
-        if arrays["outcome"][-1] == outcome:
-            pytest.skip("this is what it has")
-    assert "episodes.npz" in refused(edited(copy, put("outcome", outcome)))
-
-
 def retype(name: str, kind: type) -> Callable[[Arrays], object]:
     return lambda arrays: arrays.update({name: arrays[name].astype(kind)})
 
@@ -160,10 +151,3 @@ def test_what_is_damaged_can_be_left_out(copy: Path, tmp_path: Path, capsys: pyt
     assert "left out" in said.err
     with np.load(file) as arrays:
         assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum()) - 1
-
-
-def test_bags_are_examined_too(
-    sent: list[list[Sent]], recorded: Callable[..., Path], refused: Refused, tmp_path: Path
-) -> None:
-    last = len(sent[0]) - 1
-    assert "impact" in refused(recorded([forged(sent[0], last, "impact_time", np.nan), *sent[1:]]))

@@ -14,7 +14,6 @@ from recordings_support import crossing, trials
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.bags.checks import find_recordings
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog
@@ -33,25 +32,6 @@ def bags(sent: list[list[Sent]], tmp_path: Path) -> Path:
             f"rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n    - {number:02}.mcap\n  files: []\n"
         )
     return tmp_path / "bags"
-
-
-@pytest.fixture
-def whole(bags: Path, replay: Replay) -> bytes:
-    """Episodes of all bags."""
-    done = replay(bags)
-    assert (done.code, done.err) == (0, "")
-    return bytes(done.episodes)
-
-
-def test_bags_behind_links_are_read(bags: Path, whole: bytes, replay: Replay, tmp_path: Path) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    for name in ("03", "05"):
-        (bags / name).rename(tmp_path / "elsewhere" / name)
-        (bags / name).symlink_to(tmp_path / "elsewhere" / name)
-    (bags / "06" / "06.mcap").rename(tmp_path / "elsewhere" / "06.mcap")
-    (bags / "06" / "06.mcap").symlink_to(tmp_path / "elsewhere" / "06.mcap")
-    done = replay(bags)
-    assert (done.episodes, done.err) == (whole, "")
 
 
 @pytest.mark.parametrize("name", ["04.mcap.zstd", "04.db3"])
@@ -75,15 +55,6 @@ def test_a_file_that_metadata_names_and_is_gone(bags: Path, refused: Refused, re
     assert "04_1.mcap" in line
 
 
-@pytest.mark.parametrize("content", ["[", "", "relative_file_paths: 3"])
-def test_metadata_that_says_nothing_is_named(bags: Path, whole: bytes, replay: Replay, content: str) -> None:
-    (bags / "04" / "metadata.yaml").write_text(content)
-    done = replay(bags)
-    assert done.episodes == whole
-    (line,) = done.result["warnings"]
-    assert "04/metadata.yaml: cannot be read" in line
-
-
 def test_last_bags_that_are_gone_are_known_by_their_manifest(bags: Path, refused: Refused, replay: Replay) -> None:
     """Of a campaign that lacks the last runs of every φ alike, nothing else tells."""
     night = bags.parent / "night"
@@ -101,12 +72,6 @@ def test_last_bags_that_are_gone_are_known_by_their_manifest(bags: Path, refused
         assert len([line for line in done.result["left_out"] if MANIFEST in line]) == 2
     (night / "bags" / "00" / "00.mcap").write_bytes((night / "bags" / "01" / "01.mcap").read_bytes())
     assert "00.mcap: is not what was written" in refused(night)
-
-
-def test_recordings_of_a_folder_are_found_in_one_order(bags: Path) -> None:
-    assert [files[0].name for files in find_recordings([bags])] == [
-        f"{n:02}.mcap" for n in range(len([*bags.iterdir()]))
-    ]
 
 
 # --- counts that cannot be

@@ -108,14 +108,6 @@ def test_what_no_simulator_gives_is_refused(
     assert f"episode {foreign[hit].episode.episode_id}" in refused(recorded(episodes))
 
 
-def test_a_tick_that_is_repeated(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
-    """In lockstep tick 0 is said until there is an answer."""
-    right = replay(recorded(sent))
-    done = replay(recorded([[*one[:3], *one[1:3], *one[1:3], *one[3:]] for one in sent]))
-    assert done.err == ""
-    assert done.episodes == right.episodes
-
-
 class _Late:
     """A controller whose commands arrive a tick late, as they may in real time."""
 
@@ -154,14 +146,6 @@ def test_commands_that_come_late_count(logs: list[EpisodeLog], recorded: Write, 
     assert done.code == 0, done.err
     assert done.result["left_out"] == []
     assert not [line for line in done.result["warnings"] if "own world" in line]
-
-
-@pytest.mark.parametrize("multiplier", [2.0, 5.0])
-def test_a_car_that_brakes_before_any_command_to_is_another_car(
-    logs: list[EpisodeLog], recorded: Write, refused: Refused, multiplier: float
-) -> None:
-    earlier = [run_episode(logs[0].episode, controller=make_controller("basic", multiplier)), *logs[1:]]
-    assert "the car's speed at tick" in refused(recorded(campaign_messages(earlier)))
 
 
 def test_states_of_another_topic_are_not_mixed_in(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:

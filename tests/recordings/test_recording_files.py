@@ -97,19 +97,6 @@ def test_whatever_is_damaged_is_noticed_or_says_the_same(
         assert kept == right or damage.left_out
 
 
-def test_what_has_a_checksum_as_a_whole_alone_is_refused_as_a_whole(
-    sent: list[list[Sent]], recorded: Write, refused: Refused
-) -> None:
-    """It comes last: nothing that stands before may count."""
-    file = recorded(sent, chunks=False)
-    content = bytearray(file.read_bytes())
-    messages = [end for opcode, _, end in records(bytes(content)) if opcode == Opcode.MESSAGE]
-    content[messages[5] - 300] ^= 1
-    file.write_bytes(content)
-    for options in ([], ["--skip-damaged"]):
-        assert "do not match their checksum" in refused(file, *options)
-
-
 def test_files_without_checksums_are_named(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
     with_them, without = replay(recorded(sent)), replay(recorded(sent, "bare", checksums=False))
     assert without.episodes == with_them.episodes
@@ -135,17 +122,6 @@ def test_a_damaged_chunk_is_left_out_and_what_it_held_is_named(
     assert done.result["left_out"][1:] or "left out, no result" in done.err
 
 
-def test_a_chunk_that_is_gone_is_missed(sent: list[list[Sent]], recorded: Write, refused: Refused) -> None:
-    """Also without checksums: the statistics count the messages."""
-    file = recorded(sent, chunk_size=4096, checksums=False)
-    content = file.read_bytes()
-    start, end = chunks(content)[4]
-    following = next(begin for opcode, begin, _ in records(content) if begin >= end and opcode == Opcode.CHUNK)
-    file.write_bytes(content[:start] + content[following:])
-    line = refused(file)
-    assert "states of episode" in line or "messages" in line
-
-
 def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(
     sent: list[list[Sent]], recorded: Write, refused: Refused, replay: Replay
 ) -> None:
@@ -162,13 +138,3 @@ def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(
         assert done.episodes == expected.episodes
         assert "cut short" in done.result["left_out"][0]
         assert "messages of it count" in done.err
-
-
-def test_a_folder_named_as_a_file_is_looked_into(
-    sent: list[list[Sent]], recorded: Write, replay: Replay, tmp_path: Path
-) -> None:
-    """As `ros2 bag record -o night.mcap` makes it."""
-    file = recorded(sent)
-    (tmp_path / "night.mcap").mkdir()
-    file.rename(tmp_path / "night.mcap" / "night_0.mcap")
-    assert replay(tmp_path / "night.mcap").code == 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from bag_forge import Sent, campaign_messages
-from common import assert_same_episodes, assert_valid, run_skd
+from common import assert_same_episodes, assert_valid
 from recordings_support import crossing, trials
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
 from skd_evaluator.assessment.files.results import write_assessment
@@ -74,15 +74,6 @@ def test_a_recording_of_both_gives_the_same_assessment(
     assert done.result["warnings"] == []
 
 
-def test_recordings_in_two_files_and_any_order_are_one_campaign(
-    live: Assessment, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any]
-) -> None:
-    first, second = recorded(messages[::2], "one"), recorded(messages[1::2], "two")
-    done = replay(second, first)
-    assert (done.code, done.err) == (0, "")
-    assert figures(done.result) == figures(json.loads(json.dumps(live.as_dict())))
-
-
 def test_what_is_missing_is_said_with_its_objective(
     by_objective: dict[Objective, list[EpisodeLog]],
     messages: Sequence[Sequence[Sent]],
@@ -96,19 +87,3 @@ def test_what_is_missing_is_said_with_its_objective(
     said = "\n".join(done.result["warnings"])
     assert "no recording has kamikaze trials of objective paper 0 of safe trajectory 1" in said
     assert "of objective deviation" not in said
-
-
-def test_logs_of_both_teach_a_car_model_and_none_is_taken_for_another_s_double(
-    live: Assessment, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_assessment(tmp_path, live)
-    assert run_skd("fit", tmp_path / "episodes.npz", "--json", "--out", tmp_path / "model") == 0
-    said = capsys.readouterr()
-    assert "very states" not in said.err
-    states = {
-        (log.adversary.tobytes(), log.car.tobytes())
-        for one in live.results
-        for group in one.kamikaze
-        for log in (*group.logs, *group.misses, *live.nominal_runs)
-    }
-    assert json.loads(said.out)["logs"] == len(states)

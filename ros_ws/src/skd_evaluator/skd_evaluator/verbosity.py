@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 
-class _Said:
+class _Verbosity:
     """What this process says.
 
     Attributes:
@@ -17,15 +17,15 @@ class _Said:
 
 def be_verbose(verbose: bool) -> None:
     """Say every step from now on, or no longer."""
-    _Said.every_step = verbose
+    _Verbosity.every_step = verbose
 
 
 def is_verbose() -> bool:
     """Return whether every step is to be said."""
-    return _Said.every_step
+    return _Verbosity.every_step
 
 
 def say(line: str) -> None:
     """Say a step on standard error, where every step is to be said."""
-    if _Said.every_step:
+    if _Verbosity.every_step:
         print(f"skd: {line}", file=sys.stderr)

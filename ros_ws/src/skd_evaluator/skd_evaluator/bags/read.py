@@ -49,7 +49,7 @@ def _name(campaign: str, number: int, mode: int, objective: str, model: str) -> 
 
 
 @dataclass(frozen=True)
-class RecordedEpisode:
+class BagEpisode:
     """An episode found in a bag: identity and log."""
 
     key: EpisodeKey
@@ -134,7 +134,7 @@ class GraphRecording:
         if len(self.samples) > _MOST_STATES:
             raise UsageError(f"holds more than {_MOST_STATES} states; split it (ros2 bag record --max-bag-duration)")
 
-    def logs(self, where: str, damage: Damage) -> Iterator[RecordedEpisode]:
+    def logs(self, where: str, damage: Damage) -> Iterator[BagEpisode]:
         """Yield the episodes that ended and are complete, as the messages describe them.
 
         Args:
@@ -158,7 +158,7 @@ class GraphRecording:
                 continue
             log = self._log(episode, key, result, where, damage)
             if log is not None:
-                yield RecordedEpisode(key, log)
+                yield BagEpisode(key, log)
 
     def _log(self, episode: Episode, key: EpisodeKey, result: Result, where: str, damage: Damage) -> EpisodeLog | None:
         name = f"{where}: episode {key.episode_id}"
@@ -192,7 +192,7 @@ _TOPICS = {
 
 
 @dataclass(frozen=True)
-class RecordedEpisodes:
+class BagContent:
     """What recordings hold.
 
     Attributes:
@@ -202,7 +202,7 @@ class RecordedEpisodes:
         files: the files that were read.
     """
 
-    episodes: list[RecordedEpisode]
+    episodes: list[BagEpisode]
     unfinished: list[EpisodeName]
     announced: set[EpisodeName]
     files: list[Path]
@@ -212,16 +212,16 @@ class RecordedEpisodes:
 class _Located:
     """An episode and the file in which it was found."""
 
-    episode: RecordedEpisode
+    episode: BagEpisode
     where: str
 
 
-def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[RecordedEpisode]:
+def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[BagEpisode]:
     """Return all episodes that ended; otherwise like `read_bags`."""
     return read_bags(paths, damage).episodes
 
 
-def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> RecordedEpisodes:
+def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> BagContent:
     """Return all episodes of recordings that can have happened.
 
     Args:
@@ -246,7 +246,7 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> RecordedEp
     places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
     counting = accept([LocatedLog(one.episode.log, one.where, one.episode.key.campaign) for one in places], damage)
     episodes = [places[index].episode for index in counting]
-    return RecordedEpisodes(
+    return BagContent(
         episodes, sorted(announced - set(found)), announced, [file for files in recordings for file in files]
     )
 

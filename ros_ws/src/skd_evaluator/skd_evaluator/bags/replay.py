@@ -23,7 +23,7 @@ from skd_evaluator.bags.checks import (
     not_credible_beside,
     unfinished_episodes,
 )
-from skd_evaluator.bags.read import RecordedEpisode, RecordedEpisodes
+from skd_evaluator.bags.read import BagContent, BagEpisode
 from skd_evaluator.metrics.aborted import aborted_lines
 
 _OPTIONS = [one for one in options_of(Episode) if one.name != "objective"]  # a campaign may have several objectives
@@ -40,7 +40,7 @@ class _Group:
     replays: list[tuple[int, EpisodeLog]] = field(default_factory=list)
 
 
-def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[RecordedEpisode]:
+def _select(episodes: Sequence[BagEpisode], campaign: str | None) -> list[BagEpisode]:
     known = sorted({episode.key.campaign for episode in episodes})
     if campaign is not None and campaign not in known:
         raise UsageError(f"--campaign {campaign}: the bags hold {', '.join(known) or 'no episode'}")
@@ -66,7 +66,7 @@ def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
 
 
 def assessment_from_logs(
-    recorded: RecordedEpisodes,
+    recorded: BagContent,
     *,
     campaign: str | None = None,
     maximum_distance: float | None = None,

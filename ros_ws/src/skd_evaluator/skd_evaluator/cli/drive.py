@@ -46,11 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
             "the adversary is moved by the keys of a terminal, and here is none: with --safe synthetic it follows a "
             "safe trajectory, with --ticks N it stands"
         )
-    plan, options = _asked(arguments)
+    plan, options = _plan_and_graph(arguments)
     if arguments.graph:
         prepare_ros(options)
     episodes = _Episodes(plan, arguments)
-    controls, said = Controls(), _Said()
+    controls, said = Controls(), _Messages()
     try:
         with ExitStack() as stack:
             if watched:
@@ -99,7 +99,7 @@ class _Episodes:
         return self._plan.episode(Mode.REPLAY, place, number // len(self._safe), self._safe[place])
 
 
-class _Said:
+class _Messages:
     """Lines for the user, of which none is printed into a picture."""
 
     def __init__(self) -> None:
@@ -124,7 +124,7 @@ class _Said:
             print(f"skd drive: {line}", file=sys.stderr)
 
 
-def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
+def _plan_and_graph(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     """Return car, scenario and φ, and how a graph is run.
 
     Raises:
@@ -167,7 +167,7 @@ def _driving(
     episodes: _Episodes,
     controls: Controls,
     show: Any,
-    said: _Said,
+    said: _Messages,
     arguments: argparse.Namespace,
 ) -> Iterator[Drive]:
     """Yield what drives an episode, in this process or through the node graph."""

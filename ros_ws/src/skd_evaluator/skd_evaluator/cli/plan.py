@@ -32,7 +32,7 @@ _FEW = 10
 
 
 @dataclass(frozen=True)
-class _Source:
+class _Variances:
     """Variances to plan with: of one car, or of a difference on the same φ; and where they are from."""
 
     components: VarianceComponents
@@ -91,7 +91,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     return 0
 
 
-def _sizes(arguments: argparse.Namespace, source: _Source, between: float, within: float) -> list[Size]:
+def _sizes(arguments: argparse.Namespace, source: _Variances, between: float, within: float) -> list[Size]:
     counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
     if arguments.width is not None:
         prior = None if arguments.figure == "contact_rate" else DISTANCES
@@ -99,7 +99,7 @@ def _sizes(arguments: argparse.Namespace, source: _Source, between: float, withi
     return sizes_for_power(arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts)
 
 
-def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _Source:
+def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _Variances:
     """Return the variances to plan with.
 
     Raises:
@@ -112,9 +112,9 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
             raise UsageError(f"--figure {arguments.figure} needs a result of skd assess to plan with")
         of_one, of_a_difference = _STATED[arguments.figure]
         if arguments.width is not None or arguments.unpaired:
-            return _Source(of_one, False, "assumed, as of the basic car at C = 1; an earlier result would be better")
+            return _Variances(of_one, False, "assumed, as of the basic car at C = 1; an earlier result would be better")
         text = "of the difference on the same φ, assumed, as of C = 1 and 1.05; two earlier results would be better"
-        return _Source(of_a_difference, True, text)
+        return _Variances(of_a_difference, True, text)
     for one in results:
         if arguments.figure not in one.groups:
             raise UsageError(
@@ -128,13 +128,13 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
                 "how much a difference varies on the same φ takes two results to tell: give two, or add --unpaired for "
                 "cars on different φ"
             )
-        return _Source(variance_components(groups), False, f"from {first.folder}", len(groups))
+        return _Variances(variance_components(groups), False, f"from {first.folder}", len(groups))
     if arguments.width is not None or arguments.unpaired:
         raise UsageError("two results are for --difference of cars on the same φ; give one")
     return _paired_source(first, results[1], arguments.figure)
 
 
-def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _Source:
+def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _Variances:
     from skd_evaluator.assessment.compare.comparability import PLANNED
     from skd_evaluator.assessment.compare.comparison import compare
 
@@ -147,7 +147,7 @@ def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _S
         raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
     differences = _trial_differences(first.groups[figure], second.groups[figure])
     text = f"of the difference on the same φ, from {first.folder} and {second.folder}"
-    return _Source(variance_components(differences), True, text, len(differences))
+    return _Variances(variance_components(differences), True, text, len(differences))
 
 
 def _trial_differences(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:

@@ -246,7 +246,7 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
 
 
 @dataclass(frozen=True)
-class Cell:
+class MatrixCell:
     """An assessment in the matrix, as it is shown.
 
     Attributes:
@@ -263,7 +263,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Matrix:
+class CarMatrix:
     """Assessments by car and scenario.
 
     Attributes:
@@ -272,19 +272,19 @@ class Matrix:
     """
 
     scenarios: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[tuple[Cell, ...], ...]], ...]
+    rows: tuple[tuple[str, tuple[tuple[MatrixCell, ...], ...]], ...]
 
 
-def matrix_of(subjects: Sequence[Subject]) -> Matrix | None:
+def matrix_of(subjects: Sequence[Subject]) -> CarMatrix | None:
     """Return the matrix; None where there are not both several cars and several scenarios."""
     cars, scenarios = list(dict.fromkeys(car_name(one.figures) for one in subjects)), scenarios_of(subjects)
     if len(cars) < 2 or len(scenarios) < 2:
         return None
-    cells: dict[tuple[str, str], list[Cell]] = {}
+    cells: dict[tuple[str, str], list[MatrixCell]] = {}
     for one in subjects:
         cells.setdefault((car_name(one.figures), one.scenario.name), []).append(_cell(one))
     rows = tuple((car, tuple(tuple(cells.get((car, place), ())) for place in scenarios)) for car in cars)
-    return Matrix(tuple(scenarios), rows)
+    return CarMatrix(tuple(scenarios), rows)
 
 
 def by_scenario(subjects: Sequence[Subject]) -> list[int]:
@@ -293,9 +293,9 @@ def by_scenario(subjects: Sequence[Subject]) -> list[int]:
     return sorted(range(len(subjects)), key=lambda place: (order.index(subjects[place].scenario.name), place))
 
 
-def _cell(one: Subject) -> Cell:
+def _cell(one: Subject) -> MatrixCell:
     figures = one.figures
-    return Cell(
+    return MatrixCell(
         bounded(figures, number(figures["margin"])),
         interval(figures["margin_ci95"]),
         percent(figures["nominal_collision_rate"]),
