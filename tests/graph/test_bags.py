@@ -198,6 +198,3 @@ def test_two_campaigns_and_the_choice_between_them(
         out = tmp_path / name
         assert skd_here(capsys, "replay", *both, "--campaign", name, "--out", out).code == 0
         assert_same_results(out, live.graph)
-
-
-# --- what cannot be replayed
