@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from skd_evaluator.assessment.plan import Stage, episode_id
-from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, aborted
+from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, aborted
 from skd_evaluator.ros.recording import BagRecorder
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.ros.commands import message_class
@@ -64,7 +64,9 @@ def test_the_command_that_ended_the_episode_is_waited_for(tmp_path: Path, until:
     def listen(_seconds: float) -> None:
         recorder.keep(DRIVE, COMMAND, awaited.pop(), b"")
 
-    recorder.settle(Episode(scenario, Mode.SAFE, 0, 0), Result(Outcome.ARRIVED, TICKS, math.nan, math.nan, ""), listen)
+    recorder.settle(
+        Episode(scenario, Mode.SAFE, 0, 0), EpisodeEnd(Outcome.ARRIVED, TICKS, math.nan, math.nan, ""), listen
+    )
     assert not awaited
     assert [kept.stamp for kept in recorder._messages if kept.topic == DRIVE] == stamps
 
@@ -88,6 +90,6 @@ def test_an_episode_that_is_run_again_has_one_bag(tmp_path: Path) -> None:
     assert not recorder.takes(way)
     log = aborted(episode, "no reason")
     recorder.begin(EpisodeKey("test", episode.episode_id, START), START)
-    recorder.write(EpisodeMsg(), log, Result(Outcome.ABORTED, 0, math.nan, math.nan, ""), START, unsaid=False)
+    recorder.write(EpisodeMsg(), log, EpisodeEnd(Outcome.ABORTED, 0, math.nan, math.nan, ""), START, unsaid=False)
     assert len(list(tmp_path.iterdir())) == 1
     assert not recorder.takes(episode)

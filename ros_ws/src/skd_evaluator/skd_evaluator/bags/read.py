@@ -18,7 +18,7 @@ from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_t
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessment.plan import model_digest
-from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
+from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message, stamps
 from skd_evaluator.bags.checks import Damage, LocatedLog, accept, find_recordings
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened, types_in, typestore
 
@@ -76,7 +76,7 @@ class GraphRecording:
 
     samples: Samples = field(default_factory=Samples)
     episodes: dict[EpisodeKey, Any] = field(default_factory=dict)
-    results: dict[EpisodeKey, Result] = field(default_factory=dict)
+    results: dict[EpisodeKey, EpisodeEnd] = field(default_factory=dict)
     disputed: dict[EpisodeKey, str] = field(default_factory=dict)
     torn: dict[int, str] = field(default_factory=dict)
     _said: dict[tuple[str, EpisodeKey], bytes] = field(default_factory=dict)
@@ -160,7 +160,9 @@ class GraphRecording:
             if log is not None:
                 yield BagEpisode(key, log)
 
-    def _log(self, episode: Episode, key: EpisodeKey, result: Result, where: str, damage: Damage) -> EpisodeLog | None:
+    def _log(
+        self, episode: Episode, key: EpisodeKey, result: EpisodeEnd, where: str, damage: Damage
+    ) -> EpisodeLog | None:
         name = f"{where}: episode {key.episode_id}"
         if result.ticks > episode.scenario.ticks:
             damage.leave_out(

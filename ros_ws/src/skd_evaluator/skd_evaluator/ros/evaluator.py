@@ -60,7 +60,7 @@ from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plausibility import examine
-from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
+from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_evaluator.ros.recording import SETTLE, BagRecorder
@@ -214,7 +214,7 @@ class Evaluator(GraphNode):
         super().__init__(name, context=context, **node_arguments)
         self._next_start = NANOSECONDS
         self._samples = Samples()
-        self._result: tuple[Result, int] | None = None
+        self._result: tuple[EpisodeEnd, int] | None = None
         self._refused: str | None = None
         self._key = EpisodeKey("", -1, 0)
         self._recorder: BagRecorder | None = None
@@ -421,7 +421,7 @@ class Evaluator(GraphNode):
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
-            result = Result(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
+            result = EpisodeEnd(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
         else:
             result, stamp = self._result
             if recorder is not None:
@@ -536,7 +536,7 @@ class Evaluator(GraphNode):
             if (several := second_publisher(self, topic)) is not None:
                 raise AssessmentError(f"{several}; end all but one")
 
-    def _lost(self, episode: Episode, start: int, result: Result) -> str:
+    def _lost(self, episode: Episode, start: int, result: EpisodeEnd) -> str:
         lost, count = self._samples.missing(episode, start, result), 2 * (result.ticks + 1)
         said = f"the episode ended, and {lost} of its {count} states have not come {_LOST:g} s later"
         return abort_reason(AbortKind.LOST, f"{said}: this machine has too much to do, or the network loses messages")

@@ -35,7 +35,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.assessment.plan import model_digest, walks_a_way
-from skd_evaluator.assessment.run.assembly import EpisodeKey, Result
+from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey
 from skd_evaluator.bags.write import RecordedMessage, write_bag
 from skd_evaluator.ros.visualization import fixed_markers, moving_markers
 
@@ -141,7 +141,7 @@ class BagRecorder:
         self._now = max(self._now, stamp)
         return stamp
 
-    def settle(self, episode: Episode, result: Result, listen: Callable[[float], None]) -> None:
+    def settle(self, episode: Episode, result: EpisodeEnd, listen: Callable[[float], None]) -> None:
         """Wait, a moment at most, for messages that topics without common order deliver after the result.
 
         Args:
@@ -179,7 +179,7 @@ class BagRecorder:
                 return
             listen(SETTLE)
 
-    def write(self, specification: Any, log: EpisodeLog, result: Result, end: int, *, unsaid: bool) -> None:
+    def write(self, specification: Any, log: EpisodeLog, result: EpisodeEnd, end: int, *, unsaid: bool) -> None:
         """Write the bag of the episode.
 
         Args:
@@ -211,7 +211,7 @@ class BagRecorder:
             latched.append(self._own(ROBOT_DESCRIPTION, self._description, start, latched=True))
         write_bag(self._folder / name, [*latched, *self._markers(log), *messages])
 
-    def _ending(self, specification: Any, result: Result, end: int) -> EpisodeResult:
+    def _ending(self, specification: Any, result: EpisodeEnd, end: int) -> EpisodeResult:
         ending = EpisodeResult(campaign=self._key.campaign, start=specification.header.stamp)
         ending.header.stamp = to_stamp(end)
         ending.header.frame_id = specification.header.frame_id

@@ -23,7 +23,7 @@ class EpisodeKey(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Result:
+class EpisodeEnd:
     """How an episode ended, as the simulator says: see skd_msgs/EpisodeResult."""
 
     outcome: Outcome
@@ -72,12 +72,12 @@ class Samples:
         """Return how many states have come."""
         return len(self.car) + len(self.adversary)
 
-    def missing(self, episode: Episode, start: int, result: Result) -> int:
+    def missing(self, episode: Episode, start: int, result: EpisodeEnd) -> int:
         """Return how many states of an episode have not come yet."""
         needed = stamps(episode, start, result)
         return sum((stamp not in self.car) + (stamp not in self.adversary) for stamp in needed)
 
-    def log(self, episode: Episode, start: int, result: Result) -> EpisodeLog:
+    def log(self, episode: Episode, start: int, result: EpisodeEnd) -> EpisodeLog:
         """Return the log of an episode that started at `start` (ns); its states must all have come."""
         needed = stamps(episode, start, result)
         return EpisodeLog(
@@ -98,11 +98,11 @@ class Samples:
         self.adversary.clear()
 
 
-def result_from_message(message: Any) -> Result:
+def result_from_message(message: Any) -> EpisodeEnd:
     """Return the result that an EpisodeResult message holds."""
     ages = tuple(float(age) for age in message.command_ages)
     timing = Timing(ages, int(message.commands_held), float(message.greatest_delay))
-    return Result(
+    return EpisodeEnd(
         Outcome(int(message.outcome)),
         int(message.ticks),
         float(message.impact_time),
@@ -119,6 +119,6 @@ def aborted(episode: Episode, reason: str) -> EpisodeLog:
     return EpisodeLog(episode, Outcome.ABORTED, nothing[:, :2], nothing * math.nan, reason=reason)
 
 
-def stamps(episode: Episode, start: int, result: Result) -> list[int]:
+def stamps(episode: Episode, start: int, result: EpisodeEnd) -> list[int]:
     """Return the stamps (ns) of an episode's ticks."""
     return [tick_stamp(start, tick, episode.scenario.time_step) for tick in range(result.ticks + 1)]
