@@ -47,13 +47,6 @@ def _copies(weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.bincount(out[:, 0].astype(int), minlength=n)
 
 
-def test_resampling_stays_within_the_particles_where_weights_sum_to_less_than_one() -> None:
-    """Rounding does so, by a bit; here by a quarter, so that the last position is beyond the sum for certain."""
-    for seed in range(20):
-        copies = _copies(np.array([0.25, 0.25, 0.25, 0.0]), np.random.default_rng(seed))
-        assert copies.tolist() == [1, 1, 1, 1]
-
-
 def test_a_particle_that_ends_the_episode_has_no_weight() -> None:
     belief = ParticleBelief(ring(stop=1.0), 1200, np.random.default_rng(6))
     belief.predict(0)  # cell 0 stops for sure

@@ -207,14 +207,6 @@ def recorded() -> list[Clip]:
     return read_clips(folder)
 
 
-def test_recorded_counts_and_durations(recorded: list[Clip]) -> None:
-    assert len(recorded) == 8
-    assert [len(clip.tracks) for clip in recorded] == [8] * 8
-    durations = [track.duration for clip in recorded for track in clip.tracks]
-    assert min(durations) == pytest.approx(5.5, abs=0.05)
-    assert max(durations) == pytest.approx(10.3, abs=0.05)
-
-
 def test_recorded_trajectories(recorded: list[Clip]) -> None:
     usable, dropped = select(recorded, SCENARIO)
     assert len(usable) + len(dropped) == 64

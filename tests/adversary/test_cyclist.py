@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from road_user_limits import beyond
 from skd_adversary.crossing import road_users
-from skd_adversary.crossing.cars import known_basic_car
-from skd_adversary.crossing.deviation import DEVIATION
-from skd_adversary.crossing.model import compose, road_user_parts
-from skd_adversary.crossing.parts import STATE_DIM
 from skd_adversary.crossing.road_users import (
     ACCELERATE,
     BRAKE,
@@ -67,30 +62,6 @@ def test_speeds_by_hand() -> None:
     assert ridden(0.0, 7.0, ACCELERATE, MOST, 0.3) == (7.0, 0.0)  # a φ that is faster is not slowed down
 
 
-@pytest.mark.parametrize(
-    ("way", "expected"),
-    [
-        (road_users.EAST, ACCELERATE),
-        (road_users.NORTH_EAST, LEFT),
-        (road_users.SOUTH_EAST, RIGHT),
-        (road_users.SOUTH, RIGHT),
-        (road_users.STAY, BRAKE),
-    ],
-)
-def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int) -> None:
-    """A cyclist who rides East with 5 m/s, where φ does."""
-    car = known_basic_car(1.0)
-    start, path = (-8.0, 0.0), ACROSS.positions
-    model = compose(SCENARIO, DEVIATION, car, start=start, gap=13.0, path=path, road_user=CYCLIST)
-    state = np.empty(model.state_dim)
-    model.initial(model.parameters, state, np.random.default_rng(0))
-    steer = road_user_parts(CYCLIST.kernels, car.kernels)["steer"]
-    assert steer(model.parameters, state, way) == expected
-    state[STATE_DIM] = math.radians(60.0)  # 60° to the left
-    if way == road_users.SOUTH:
-        assert steer(model.parameters, state, way) == BRAKE_RIGHT
-
-
 @pytest.mark.parametrize("objective", list(Objective))
 def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
     """Every step is one that it can ride; to a pedestrian, who goes at one speed, some are impossible."""
@@ -121,32 +92,4 @@ def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
     assert strange
 
 
-WAVERING = Trajectory(
-    np.column_stack([-8.0 + 1.3 * np.arange(9) + 0.25 * np.sin(1.7 * np.arange(9)), 0.5 * np.cos(2.3 * np.arange(9))]),
-    STEP,
-)
 """As recorded ones are: no cyclist could follow it."""
-STEADY = Trajectory(np.column_stack([-8.0 + 4.2 * STEP * np.arange(12), np.zeros(12)]), STEP)  # at 4.2 m/s
-
-
-@pytest.mark.parametrize("phi", [STEADY, WAVERING], ids=["steady", "wavering"])
-def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
-    assert (beyond("cyclist", phi.positions, phi.positions, STEP) > 1.0) == (phi is WAVERING)
-    hits = 0
-    for number in range(12):
-        log = run_episode(
-            Episode(
-                SCENARIO,
-                Mode.KAMIKAZE,
-                0,
-                number,
-                safe_trajectory=phi,
-                simulations=300,
-                objective=Objective.DEVIATION,
-            )
-        )
-        walked = log.adversary
-        assert beyond("cyclist", phi.positions, walked, STEP) <= 1e-6, number
-        assert recompute(log).deviation <= ROUNDING
-        hits += log.outcome == Outcome.COLLISION
-    assert hits >= 3

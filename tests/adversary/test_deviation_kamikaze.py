@@ -211,16 +211,3 @@ def test_reinvigoration_keeps_what_is_known_for_sure(known: bool, fitted: bool) 
     model.reinvigorate(model.parameters, state, np.array([-9.0 if known else 9.0]), redrawn, rng)
     assert (redrawn[:2] == state[:2]).all()
     assert (redrawn[row:] == state[row:]).all()
-
-
-def test_it_strays_less_than_the_other_objectives() -> None:
-    """Same φ, car, draws and budget: the mean gain of 16 pairs over either is beyond three standard errors."""
-    apart = {objective: [] for objective in Objective}
-    for number in range(16):
-        for objective, values in apart.items():
-            log = run_episode(a_kamikaze(SLOW, number, objective=objective))
-            assert log.outcome == Outcome.COLLISION
-            values.append(strayed(log))
-    for objective in (Objective.PAPER, Objective.FRECHET):
-        gains = np.array(apart[objective]) - np.array(apart[Objective.DEVIATION])
-        assert gains.mean() > 3.0 * gains.std(ddof=1) / math.sqrt(len(gains))

@@ -1,12 +1,19 @@
+"""The kamikaze of least Fréchet distance, and the coupling's row in its state."""
+
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from similaritymeasures import frechet_dist
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
 from skd_adversary.crossing.parts import CAR_S
+from skd_adversary.crossing.path import first_row, next_row
 from skd_adversary.crossing.road_users import ACTION_COUNT
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.scenario.scenario import load_scenario
@@ -68,3 +75,33 @@ def test_it_ends_once_no_continuation_can_come_within_the_maximum() -> None:
     model.initial(p, state, rng)
     reward, terminal = model.step(p, state, 0, after, rng)  # North by 0.75 m: further than 0.5 m from all of φ
     assert (reward, terminal) == (FRECHET_REWARDS["step_reward"], True)
+
+
+coordinate = st.floats(-20.0, 20.0)
+curve = st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=12)
+BEGIN = 3  # the row lies somewhere within a state
+
+
+def _rows(path: np.ndarray, psi: np.ndarray) -> list[np.ndarray]:
+    state = np.full(BEGIN + len(path), 7.0)
+    first_row(*psi[0], path, state, BEGIN)
+    rows = [state.copy()]
+    for point in psi[1:]:
+        after = np.full_like(state, 7.0)
+        least = next_row(*point, path, state, after, BEGIN)
+        assert least == after[BEGIN:].min()
+        state = after
+        rows.append(state.copy())
+    return rows
+
+
+@given(path=curve, psi=curve)
+def test_last_entry_is_the_discrete_frechet_distance_to_each_prefix(
+    path: list[tuple[float, float]], psi: list[tuple[float, float]]
+) -> None:
+    phi, walked = np.array(path), np.array(psi)
+    for count, state in enumerate(_rows(phi, walked), start=1):
+        assert (state[:BEGIN] == 7.0).all()
+        for j in range(len(phi)):
+            expected = frechet_dist(phi[: j + 1], walked[:count])
+            assert math.sqrt(state[BEGIN + j]) == pytest.approx(expected, abs=1e-9)

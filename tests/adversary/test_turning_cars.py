@@ -15,12 +15,9 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
-from skd_sim.scenario.road import road_pose, road_position
+from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, Mode
-
-TURNS = ("cptafs", "cptafo", "cptans", "cptano", "cbtafs", "cbtafo", "cbtans", "cbtano", "ccftap", "cmftap")
-
 
 SCENARIOS = {name: load_scenario(name) for name in ("cbtafs", "cptans", "right_turn")}
 Parameters = namedtuple("Parameters", ("line", "straight_from", "chord", "rear", "radius"))
@@ -43,33 +40,6 @@ def box(scenario: Scenario, car_s: float) -> shapely.Polygon:
             for ahead, side in corners
         ]
     )
-
-
-def before_they_meet(scenario: Scenario, place: int) -> list[tuple[float, float, float]]:
-    """Return where the protocol's target (x, y) and the unbraked car (s) are before they touch, m, at many moments."""
-    phi = regulatory_trajectories(scenario)[place].positions
-    car, step = scenario.car, scenario.time_step
-    start = -car.start_gap - 0.5 * car.start_gap_range - car.front
-    ways = []
-    for moment in np.arange(0.0, len(phi) - 1.0, 0.2).tolist():
-        x, y = (np.interp(moment, np.arange(len(phi)), phi[:, axis]) for axis in (0, 1))
-        car_s = start + moment * step * car.start_speed
-        if box(scenario, car_s).distance(shapely.Point(x, y)) <= scenario.adversary.reach:
-            return ways
-        ways.append((float(x), float(y), car_s))
-    raise AssertionError("they meet")
-
-
-@pytest.mark.parametrize("name", TURNS)
-def test_nobody_is_left_behind_by_a_car_that_hits_it(name: str) -> None:
-    scenario = load_scenario(name)
-    line, car = scenario.road.line, scenario.car
-    by_path_coordinate = 0
-    for place in range(len(scenario.protocol.impact_places)):
-        for x, y, car_s in before_they_meet(scenario, place):
-            assert not left_behind(scenario, x, y, car_s)
-            by_path_coordinate += car_s - car.rear > road_position(line, x, y)[0] + scenario.adversary.reach
-    assert (by_path_coordinate > 0) == (name in ("cbtafs", "cbtans"))  # who rides beside the road before the curve
 
 
 @settings(max_examples=50)

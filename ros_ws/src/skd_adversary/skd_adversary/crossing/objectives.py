@@ -227,7 +227,7 @@ def _gains_by_diagonals(room: float, stride: float, ticks: float) -> bool:
 
 
 @template
-def _way(parameters: Any, state: FloatArray) -> int:
+def _direction(parameters: Any, state: FloatArray) -> int:
     """Return where to go: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
 
     What is left of the distance at the end is the way from the contact to the end of φ, so contact should be at the far
@@ -263,8 +263,8 @@ def _way(parameters: Any, state: FloatArray) -> int:
 
 @template
 def _frechet_rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
-    """Default policy: see `_way`."""
-    return steer(parameters, state, _way(parameters, state))
+    """Default policy: see `_direction`."""
+    return steer(parameters, state, _direction(parameters, state))
 
 
 FRECHET: Final = ObjectiveModel(
