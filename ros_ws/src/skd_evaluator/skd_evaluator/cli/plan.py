@@ -157,11 +157,9 @@ def _trial_differences(first: Sequence[Any], second: Sequence[Any]) -> list[Any]
 
 
 def _table(sizes: Sequence[Size], cheapest: Size) -> Table:
-    table = narrow_table("Enough; fewest episodes in bold")
-    for name in ("ψ per φ", "φ", "episodes", "width", "power"):
-        table.add_column(name, justify="right")
+    rows = []
     for size in sizes:
         power = "—" if size.power is None else f"{100 * size.power:.0f} %"
         cells = (str(size.trials), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
-        table.add_row(*(f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells))
-    return table
+        rows.append([f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells])
+    return narrow_table("Enough; fewest episodes in bold", ("ψ per φ", "φ", "episodes", "width", "power"), rows)

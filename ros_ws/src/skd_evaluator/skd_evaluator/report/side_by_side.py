@@ -25,40 +25,19 @@ def _worth(row: Mapping[str, Any]) -> str:
 
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of what is asked for, a row a cell."""
-    table = narrow_table("Cells")
-    for name in ("cell", "scenario", "safe"):
-        table.add_column(name)
-    for name in ("episodes", "at most"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        texts = (escape(str(row[key])) for key in ("name", "scenario", "safe"))
-        table.add_row(*texts, str(row["episodes"]), str(row["most"]))
-    return table
+    """Return the table of the cells of a campaign before they run."""
+    keys = ("name", "scenario", "safe", "episodes", "most")
+    cells = [[escape(str(row[key])) for key in keys] for row in rows]
+    return narrow_table("Cells", ("cell", "scenario", "safe", "episodes", "at most"), cells)
 
 
 def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
-    table = narrow_table("What the cells came to")
-    table.add_column("cell")
-    columns = (
-        "margin\n(m)",
-        "95 %,\nby φ",
-        "equiv.\nC",
-        "nominal\ncollisions",
-        "planned\n(m)",
-        "knowl-\nedge",
-        "SKD\n(m)",
-    )
-    for name in columns:
-        table.add_column(name, justify="right")
-    for row in rows:
-        name = escape(str(row["name"]))
-        if not row["sha256"]:
-            table.add_row(name, f"[red]{row['state']}[/]", *[""] * (len(columns) - 1))
-            continue
-        table.add_row(
-            f"{name}{_doubt(row)}",
+    heads = ["cell", "margin\n(m)", "95 %,\nby φ", "equiv.\nC", "nominal\ncollisions", "planned\n(m)"]
+    heads += ["knowl-\nedge", "SKD\n(m)"]
+    cells = [
+        [
+            f"{escape(str(row['name']))}{_doubt(row)}",
             bounded_cell(row, number(row["margin"])),
             interval(row["margin_ci95"]),
             bounded_cell(row, number(row["equivalent_multiplier"])),
@@ -66,8 +45,12 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             number(row["deviation"]),
             str(row["knowledge"]),
             number(row["skd"]),
-        )
-    return table
+        ]
+        if row["sha256"]
+        else [escape(str(row["name"])), f"[red]{row['state']}[/]"]
+        for row in rows
+    ]
+    return narrow_table("What the cells came to", heads, cells)
 
 
 def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
@@ -78,15 +61,10 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         ranked_by: figure by which cars are in order, the most vulnerable one first; None: in the order given.
     """
     order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
-    table = narrow_table(f"Side by side{order}")
-    table.add_column("car", overflow="fold")
-    for name in (
-        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier",
-        "nominal\ncollisions", "SKD\n(m)",
-    ):  # fmt: skip
-        table.add_column(escape(name), justify="right", no_wrap=name.startswith("["))
-    for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
-        table.add_row(
+    heads = ["car", "margin\n(m)", "95 %\nby φ", escape("[margin,\nplanned]"), "knowl-\nedge", "equivalent\nmultiplier"]
+    heads += ["nominal\ncollisions", "SKD\n(m)"]
+    cells = [
+        [
             f"{escape(row['car'])}{_doubt(row)}",
             bounded_cell(row, _number(row["margin"])),
             _interval(row["margin_ci95"], 2),
@@ -95,8 +73,10 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
             bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
             TERMINAL.share(row["nominal_collision_rate"]),
             _number(row["skd"]),
-        )
-    return table
+        ]
+        for row in (sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows)
+    ]
+    return narrow_table(f"Side by side{order}", heads, cells)
 
 
 _RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deviation")}
@@ -104,31 +84,18 @@ _RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deviation")}
 
 def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
     """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
-    table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
-    table.add_column("car", overflow="fold")
-    for name in ("verdict", "by", "by so\nmuch", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
-        table.add_column(name, justify="right")
+    heads = ["car", "verdict", "by", "difference", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"]
+    cells = []
     for entry in entries:
         shown = entry["judged_by"] or next((one for one in _RANKED if one in entry["differences"]), "")
         found = entry["differences"].get(shown)
-        figures = (
-            ("—", "—", "—", "—", "—")
-            if found is None
-            else (
-                AT_THE_TOP[shown].label,
-                f"{found['difference']:+.3f}",
-                _interval(found["interval"]),
-                "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",
-                "—" if found["p_value"] is None else f"{found['p_value']:.2g}",
-            )
-        )
-        table.add_row(
-            escape(entry["car"]),
-            f"[bold]{entry['verdict']}[/]",
-            *figures,
-            entry["design"],
-        )
-    return table
+        figures = ["—"] * 5
+        if found is not None:
+            figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _interval(found["interval"])]
+            figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
+            figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
+        cells.append([escape(entry["car"]), f"[bold]{entry['verdict']}[/]", *figures, entry["design"]])
+    return narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %", heads, cells)
 
 
 _TELLING = ("margin", "deviation", "skd", "nominal_collision_rate")
@@ -166,23 +133,13 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
     What follows ± takes pairs as independent, as the paper does.
     """
-    table = narrow_table("Margin, planned deviation, contact rate and SKD against the multiplier C")
-    table.add_column("φ, C")
-    for name in (
-        "margin\n(m)",
-        "95 %,\nby φ",
-        "planned\n(m)",
-        "95 %,\nby φ",
-        "coll.\nrate (%)",
-        "SKD (m)\n± 95 %",
-        "collide\n(%)",
-    ):
-        table.add_column(name, justify="right")
+    heads = ["φ, C", "margin\n(m)", "95 %,\nby φ", "planned\n(m)", "95 %,\nby φ", "coll.\nrate (%)", "SKD (m)\n± 95 %"]
+    heads.append("collide\n(%)")
+    table = narrow_table("Margin, planned deviation, contact rate and SKD against the multiplier C", heads)
     previous = None
     for row in rows:
         if row["kind"] != previous:
-            if previous is not None:
-                table.add_section()
+            table.add_section()
             table.add_row(f"[bold]{row['kind']}[/]")
         previous = row["kind"]
         table.add_row(

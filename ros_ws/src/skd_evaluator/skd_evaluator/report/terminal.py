@@ -45,7 +45,6 @@ _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
 _number, _interval, _percent = TERMINAL.number, TERMINAL.interval, TERMINAL.share
-_percent_interval = TERMINAL.share_interval
 _BOLD = ("margin", "equivalent_multiplier", "nominal_collision_rate", "skd")
 
 
@@ -224,24 +223,16 @@ def few_safe_trajectories(result: Mapping[str, Any]) -> str | None:
 
 def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     """Return the table of the safe trajectories of one assessment, from the content of assessment.json."""
-    table = narrow_table("Each safe trajectory φ")
-    table.add_column("φ", overflow="fold")
-    for name in ("collision\nrate", "deviation\n(m)", "failed", "SKD\n(m)", "prefix\n(m)"):
-        table.add_column(name, justify="right")
     objectives = result["objectives"]
     of_deviation = objectives[first_of(RANKING_OBJECTIVES, objectives)]
-    rows = zip(result["per_safe_trajectory"], of_deviation["per_safe_trajectory"], strict=True)
-    for row, deviations in rows:
+    rows = []
+    for row, deviations in zip(result["per_safe_trajectory"], of_deviation["per_safe_trajectory"], strict=True):
         rate = _percent(row["contact_rate"])
-        table.add_row(
-            escape(row["name"]),
-            rate if row["safe"] else f"[red]{rate}, not safe[/]",
-            _number(row["deviation"]),
-            f"{deviations['failed']} of {deviations['trials'] - deviations['aborted']}",
-            _number(row["skd"]),
-            _number(row["skd_prefix"]),
-        )
-    return table
+        cells = [escape(row["name"]), rate if row["safe"] else f"[red]{rate}, not safe[/]", _number(row["deviation"])]
+        cells.append(f"{deviations['failed']} of {deviations['trials'] - deviations['aborted']}")
+        rows.append([*cells, _number(row["skd"]), _number(row["skd_prefix"])])
+    heads = ("φ", "collision\nrate", "deviation\n(m)", "failed", "SKD\n(m)", "prefix\n(m)")
+    return narrow_table("Each safe trajectory φ", heads, rows)
 
 
 def narrow_table(title: str, heads: Sequence[str] = (), rows: Iterable[Sequence[str]] = ()) -> Table:
