@@ -110,22 +110,6 @@ def test_the_worst_is_what_the_same_episodes_give_with_hits(mode: Mode, name: st
         assert told.value == of(worst) == 1.0
 
 
-def test_the_worst_of_a_length_is_that_with_hits_at_none() -> None:
-    found = rating(2, mode=Mode.KAMIKAZE).as_dict()
-    assert (found["pairs"], found["kamikaze_aborted"]) == (100, 2)
-    for name in ("deviation", "skd", "objectives.paper.skd_prefix"):
-        values = np.full(100, found["objectives"]["paper"][name.rpartition(".")[2]])
-        told = at_worst(found, name)
-        assert told is not None
-        assert told.value == pytest.approx(np.mean([*values, 0.0, 0.0]))
-    rows = found["objectives"]["paper"]["per_safe_trajectory"]
-    assert [at_worst(found, f"per_safe_trajectory.{row}.skd") is None for row in (0, 1)] == [False, True]
-    told = at_worst(found, "objectives.paper.per_safe_trajectory.0.skd")
-    assert told is not None
-    assert told.value == pytest.approx(50 * rows[0]["skd"] / 52)
-    assert all(at_worst(found, name) is None for name in ("margin", "mean_impact_speed", "nonsense.of.mine", "seed"))
-
-
 def test_the_worst_of_a_risk_is_that_with_hits() -> None:
     touches = [Touch.NONE, Touch.FRONT, Touch.ABORTED, Touch.STANDING] * 5
     found = with_risk(*touches).as_dict()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from common import wait_until
 from skd_evaluator.assessment.stages import margin as ahead
-from skd_evaluator.assessment.stages.margin import margins_compiled_beside
+from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
 from skd_evaluator.margin.exact.exact import search_least
 from skd_evaluator.metrics import frechet as frechet_kernels
 from skd_sim.kernels import compilation
@@ -34,7 +34,7 @@ def compiled_by(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 def test_another_process_compiles_first(compiled_by: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ahead, "is_kept", lambda _kernel: False)
-    with margins_compiled_beside() as load:
+    with margins_compiled_in_background() as load:
         wait_until(compiled_by.read_text, "the other process")
         load()
     first, second = map(int, compiled_by.read_text().split())
@@ -49,7 +49,7 @@ def test_where_it_would_gain_nothing_there_is_none(
 ) -> None:
     monkeypatch.setattr(ahead, "is_kept", lambda _kernel: kept)
     monkeypatch.setattr(ahead, "available_workers", lambda: cores)
-    with margins_compiled_beside(wanted=wanted) as load:
+    with margins_compiled_in_background(needed=wanted) as load:
         load()
     assert compiled_by.read_text().split() == [str(os.getpid())] * wanted
 
@@ -60,7 +60,7 @@ def test_it_ends_with_what_failed(monkeypatch: pytest.MonkeyPatch, compiled_by: 
     monkeypatch.setattr(ahead, "is_kept", lambda _kernel: False)
     monkeypatch.setattr(ahead, "warm_up_margins", lambda: time.sleep(1000.0))
     monkeypatch.setattr(os, "fork", lambda: begun.append(child := fork()) or child)
-    with pytest.raises(KeyboardInterrupt), margins_compiled_beside():
+    with pytest.raises(KeyboardInterrupt), margins_compiled_in_background():
         raise KeyboardInterrupt
     with pytest.raises(ProcessLookupError):
         os.kill(begun[0], 0)
@@ -72,7 +72,7 @@ def test_it_ends_with_the_one_that_began_it(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setattr(ahead, "warm_up_margins", lambda: time.sleep(1000.0))
     number = tmp_path / "number"
     if (parent := os.fork()) == 0:
-        with margins_compiled_beside():
+        with margins_compiled_in_background():
             children = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
             number.with_suffix(".part").write_text(children)
             number.with_suffix(".part").rename(number)

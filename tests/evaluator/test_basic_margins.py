@@ -152,8 +152,3 @@ def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower, 
             below = max(one for one in asked if one / 100 <= where)
             above = min(one for one in asked if one / 100 >= where)
             assert above - below <= 1, where
-
-
-def test_how_many_phi_has_to_fit():
-    with pytest.raises(ValueError, match="2 φ and 3 φ"):
-        equivalent_of(PLAN, SAFE, [[1.0], [1.0]], Refuses(1), silent, MarginCache(None))

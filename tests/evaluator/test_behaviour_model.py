@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import yaml
@@ -39,20 +37,9 @@ def normals(ticks: int = TICKS, **person: float) -> np.ndarray:
     return found
 
 
-def of_tick(name: str, value: float, ticks: int = TICKS) -> np.ndarray:
-    found = normals(ticks)
-    found[len(OF_PERSON) + OF_TICK.index(name) :: len(OF_TICK)] = value
-    return found
-
-
 @pytest.fixture
 def walkers() -> Behaviour:
     return load_behaviour("walkers")
-
-
-def test_without_deviations_somebody_walks_as_intended(walkers):
-    chance = np.random.default_rng(1).standard_normal(normals_of(TICKS))
-    np.testing.assert_allclose(walked(STRAIGHT, walkers.values, chance, 0.0, STEP), STRAIGHT, atol=1e-12)
 
 
 def test_the_pace_is_the_persons():
@@ -104,12 +91,6 @@ def test_processes_keep_their_size_and_their_memory():
     keep = np.exp(-STEP / 0.9)
     assert doubt.std() == pytest.approx(1.0, rel=0.04)
     assert np.corrcoef(doubt[:-1], doubt[1:])[0, 1] == pytest.approx(2.0 * keep / (1.0 + keep**2), abs=0.01)
-
-
-def test_nobody_runs_faster_than_people_can(walkers):
-    far = np.column_stack([np.arange(20) * 3.0, np.zeros(20)])
-    way = walked(far, values(pace=1.0), normals(pace=3.0), 1.0, STEP)
-    assert np.hypot(*np.diff(way, axis=0).T).max() <= 12.0 * STEP + 1e-9
 
 
 def test_residuals_are_those_of_constant_velocity():
@@ -172,10 +153,3 @@ def test_a_wrong_file_is_refused_in_one_line(change, said, walkers, tmp_path):
         load_behaviour(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_name_that_is_none_is_refused():
-    with pytest.raises(UsageError, match=r"behaviour 'walker': cannot be read.*did you mean 'walkers'"):
-        load_behaviour("walker")
-    with pytest.raises(UsageError, match=r"cannot be read"):
-        load_behaviour(Path("/nowhere/at.all"))

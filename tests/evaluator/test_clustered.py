@@ -63,17 +63,6 @@ def test_the_squared_error_is_unbiased_and_has_satterthwaites_degrees_of_freedom
     assert freedom == pytest.approx(eigenvalues.sum() ** 2 / (eigenvalues**2).sum(), rel=1e-6)
 
 
-@given(COUNTS)
-def test_where_one_variance_is_nothing_the_other_one_says_how_free_it_is(counts):
-    sizes, means = np.array(counts, float), np.arange(len(counts), dtype=float)
-
-    def freedom(between, within):
-        return cluster_error(means, sizes, VarianceComponents(between, within))[1]
-
-    assert freedom(1.0, 0.0) == pytest.approx(freedom(1.0, 1e-13), rel=1e-6)
-    assert freedom(0.0, 0.0) == pytest.approx(freedom(0.0, 1.0), rel=1e-9)  # as if values were independent
-
-
 @given(st.lists(st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=6), min_size=2, max_size=6))
 def test_variance_components_are_those_of_the_analysis_of_variance(groups):
     everything = np.concatenate([np.asarray(group) for group in groups])
@@ -148,33 +137,6 @@ def test_rates_at_their_ends_and_degenerate_ones_are_said():
     assert clustered_rate([(0, 0)]) is None
     with pytest.raises(ValueError, match="hits must be"):
         clustered_rate([(4, 3)])
-
-
-def test_a_rate_weighs_each_phi_by_its_trials():
-    """Unequal numbers of runs, one φ without any, another confidence: formulas of docs/files.md, in numpy."""
-    found = clustered_rate([(3, 10), (0, 40), (0, 0), (9, 20)], confidence=0.8)
-    n, rates = np.array([10.0, 40.0, 20.0]), np.array([0.3, 0.0, 0.45])
-    w, mean = n / n.sum(), 12 / 70
-    error = math.sqrt(((w**2 / (1 - w)) * (rates - mean) ** 2).sum())
-    assert found.value == mean
-    assert found.standard_error == pytest.approx(error, rel=1e-12)
-    assert found.notes[-1] == "1 of 4 φ have nothing to count"
-    effective, quantile = mean * (1 - mean) / error**2, stats.t.ppf(0.9, found.degrees_of_freedom)
-    for end in found.interval:
-        assert abs(mean - end) / math.sqrt(end * (1.0 - end) / effective) == pytest.approx(quantile, rel=1e-9)
-    inside = (n * rates * (1 - rates)).sum()
-    assert found.components.within == pytest.approx(inside / (70 - 3))
-
-
-def test_rates_that_agree_too_well_are_luck():
-    counts = [(50, 100), (51, 100), (50, 100), (50, 100), (50, 100)]
-    assert "by luck" in clustered_rate(counts).notes[-1]
-    # Less than four times as many runs as there were is no luck: these say as much as 1,389 of 500.
-    assert not clustered_rate([(47, 100), (53, 100), (47, 100), (53, 100), (50, 100)]).notes
-    assert clustered_rate([(0, 0), (3, 3)]).value == 1.0
-    for counts in ([(-1, 3)], [(1, 3), (2, 1)]):
-        with pytest.raises(ValueError, match="hits must be from 0 to the number of trials"):
-            clustered_rate(counts)
 
 
 def test_rates_that_differ_by_group_are_covered_where_wilsons_interval_is_not():

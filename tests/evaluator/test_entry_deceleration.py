@@ -51,15 +51,6 @@ def test_where_it_is_not_defined_or_nothing_is_needed() -> None:
     assert deceleration_at_entry(crosses(1.0, 5.0, drift=1.5)) == 0.0  # goes ahead faster than the car drives
 
 
-def test_of_a_box_its_rear_counts() -> None:
-    """A car of 4.5 m that is 20 m ahead and does 4 m/s, in front of one that does 10 m/s: the gap is 15.5 m."""
-    times = STEP * np.arange(5)
-    adversary = np.column_stack([np.zeros(5), 20.0 + 4.0 * times])
-    car = np.column_stack([np.zeros(5), 10.0 * times, np.full(5, 10.0)])
-    northbound = replace(CUT_IN, adversary=replace(CUT_IN.adversary, start_heading=math.pi / 2))
-    assert deceleration_at_entry(log_of(northbound, adversary, car, 1.0)) == pytest.approx(6.0**2 / (2.0 * 15.5))
-
-
 def test_along_a_curve_it_is_what_it_is_along_a_straight_road() -> None:
     road = Road(3.5, parts=(Part(60.0), Part(8.0 * math.pi, 16.0, "left"), Part(60.0)), origin=60.0)
     straight = crosses(6.0, 5.0)

@@ -78,18 +78,6 @@ def test_beyond_what_was_compared_there_is_a_side_and_no_number():
     assert below.interval_text(below.ci95) == "[below 0.5, below 0.5]"
 
 
-def test_a_car_as_good_as_the_best_of_all_is_above_the_last_that_is_worse():
-    basic = {one: [[min(one, 1.25)] * 2] * 2 for one in GRID}  # from C = 1.25 on no better
-    assert equivalent_multiplier([[1.25] * 2] * 2, basic).text == "above 1"
-    assert equivalent_multiplier([[0.5] * 2] * 2, basic).text == "below 0.75"
-
-
-def test_where_basic_cars_are_level_the_middle_counts():
-    levels = dict(zip(GRID, ([[value]] for value in (0.125, 0.5, 0.25, 0.375, 2.0)), strict=True))
-    assert equivalent_multiplier([[0.375]], levels).value == pytest.approx(1.0)  # pooled: 0.125, 0.375 thrice, 2
-    assert equivalent_multiplier([[0.25]], levels).value == pytest.approx(0.625)
-
-
 def test_one_phi_has_no_interval_by_phi():
     found = equivalent_multiplier([[0.8, 0.9, 1.0]], {one: [[one, one + 0.1, one - 0.1]] for one in GRID})
     assert found.ci95 is None
@@ -105,15 +93,6 @@ def test_trials_that_say_nothing_do_not_count():
     assert found.trials == 3
     assert found.mean == pytest.approx((0.1 + 0.5 + 0.2) / 3)
     assert difference([[math.nan]], [[1.0]]) is None
-
-
-def test_a_phi_with_a_single_trial_varies_as_the_others_do():
-    found = difference([[0.5, 1.0], [0.75]], [[0.5, 0.5], [0.5]])
-    assert found is not None
-    assert found.ci95_trials is not None
-    # Differences 0, 0.5 and 0.25: a variance of 1/8 in the first φ, taken for the second; 3/8 for the sum of all.
-    half = stats.t.ppf(0.975, 1) * math.sqrt(3.0 / 8.0) / 3.0
-    assert found.ci95_trials == pytest.approx((0.25 - half, 0.25 + half))
 
 
 def test_an_interval_wider_than_what_was_compared_ends_at_its_first_and_last_multiplier():

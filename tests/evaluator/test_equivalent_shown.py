@@ -67,11 +67,3 @@ def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_pat
     print_table(comparison_table([{**result, "car": "mine"}], None))
     (row,) = [line for line in capsys.readouterr().out.splitlines() if line.lstrip().startswith("mine")]
     assert f" {value} " in row
-
-
-def test_a_basic_car_has_no_interval_to_show(sweep, tmp_path):
-    for multiplier, said in ((1.0, "exact by construction"), (0.9, "1.000 to 1.000")):
-        exact = equivalent_entries(EquivalentMultiplier(1.0, (1.0, 1.0), (1.0, 1.0), 0.5, 1.5))
-        changes = {**exact, f"{NAME}_note": "", "multiplier": multiplier}
-        folder = edited(sweep / "synthetic" / "C_1", tmp_path / f"{multiplier}", **changes)
-        assert html_cells(folder) == ["1.000", said, said]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import signal, stats
-from skd_evaluator.assessment import failures as module
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.failures import HARDLY, Walkers, failures_of, nine_normals
@@ -38,10 +37,6 @@ PLAN = Plan(
 WALKERS = load_behaviour("walkers")
 TICK = 0.3
 ASKED = RiskRequest(WALKERS, runs=60)
-
-
-def quiet(*_told: object) -> None:
-    pass
 
 
 @pytest.fixture(scope="module")
@@ -101,13 +96,6 @@ def test_a_failure_is_named_by_what_led_furthest_from_phi(kind, of, monkeypatch)
     assert here.failure(0, 1.0, 7).kind == kind
 
 
-def test_who_hesitates_late_does_so_in_the_lane(monkeypatch):
-    late = normals()
-    late[4 + 5 * 8 + 2 : 4 + 5 * 12 : 5] = 4.0  # walks 0.36 m a tick, from 4 m West on: in the lane from tick 7 on
-    monkeypatch.setattr(Walkers, "normals", lambda _self, _row: late)
-    assert walkers().failure(0, 1.0, 13).kind == "hesitates in the lane"
-
-
 @pytest.mark.parametrize("ticks", [1, 2, 6, 15])
 def test_nine_normals_are_standard_and_of_what_happened_before_the_contact(ticks):
     """The means of the processes, filtered by another library, over closed forms of their deviations."""
@@ -159,18 +147,6 @@ def test_failures_are_of_the_least_scale_that_has_enough(hits, scale, found):
     assert (None if here is None else here.scale) == scale
     if here is not None:
         assert here.looked_at == here.hits == sum(count for _, count, _ in here.kinds)
-
-
-def test_few_are_kept_however_many_there_are(found, monkeypatch):
-    monkeypatch.setattr(module, "MOST", 40)
-    here = failures_of([risk(1.0, 60)], walkers_of(found))
-    assert (here.hits, here.looked_at) == (60, 40)
-    counts = [count for _, count, _ in here.kinds]
-    assert counts == sorted(counts, reverse=True)
-    for kind, count, nearest in here.kinds:
-        assert len(nearest) == min(3, count)
-        assert {one.kind for one in nearest} == {kind}
-        assert [one.deviation for one in nearest] == sorted(one.deviation for one in nearest)
 
 
 def test_they_are_the_same_whoever_runs_the_car(rated, found, monkeypatch):

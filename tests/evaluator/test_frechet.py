@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -9,8 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skd_evaluator.metrics.frechet import (
-    _even_coupling,
-    _greedy_coupling,
     discrete_frechet,
     discrete_frechet_pairs,
 )
@@ -94,18 +91,6 @@ def test_equals_shapely_for_curves_of_one_length(n):
         assert discrete_frechet(p, q) == pytest.approx(theirs, rel=1e-14)
 
 
-@pytest.mark.parametrize(("n", "m"), [(2, 9), (4, 6), (17, 40), (130, 77)])
-def test_is_never_above_shapely_for_curves_of_different_lengths(n, m):
-    # Where the lengths differ, GEOS 3.14 returns more than the minimum over all couplings now and then (about one
-    # pair in five at 17 × 40); brute force above and similaritymeasures below agree with us.
-    shapely = pytest.importorskip("shapely")
-    rng = np.random.default_rng([1, n, m])
-    for _ in range(20):
-        p, q = walk(rng, n), walk(rng, m)
-        theirs = shapely.frechet_distance(shapely.LineString(p), shapely.LineString(q))
-        assert discrete_frechet(p, q) <= theirs * (1 + 1e-14)
-
-
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_equals_similaritymeasures(dimension):
     similaritymeasures = pytest.importorskip("similaritymeasures")
@@ -127,18 +112,6 @@ def test_is_a_pseudometric_that_ignores_translation(three, shift):
     assert discrete_frechet(p + move, q + move) == distance
 
 
-@settings(max_examples=200)
-@given(tuples_of_curves(2))
-def test_lies_between_end_points_and_farthest_points(pair):
-    p, q = pair
-    distance = discrete_frechet(p, q)
-    links = np.sqrt(((p[:, None] - q[None]) ** 2).sum(axis=2))
-    hausdorff = max(links.min(axis=0).max(), links.min(axis=1).max())
-    slack = 1e-15
-    assert distance >= max(links[0, 0], links[-1, -1], hausdorff) * (1 - slack)
-    assert distance <= links.max() * (1 + slack)
-
-
 @settings(max_examples=100)
 @given(tuples_of_curves(2), st.integers(0, 11))
 def test_repeating_a_point_and_reversing_both_change_nothing(pair, where):
@@ -147,10 +120,6 @@ def test_repeating_a_point_and_reversing_both_change_nothing(pair, where):
     again = np.insert(p, where % len(p), p[where % len(p)], axis=0)
     assert discrete_frechet(again, q) == distance
     assert discrete_frechet(p[::-1], q[::-1]) == distance
-
-
-def test_single_points_are_their_plain_distance():
-    assert discrete_frechet([[0.0, 0.0]], [[3.0, 4.0]]) == 5.0
 
 
 def test_input_is_not_changed_and_may_be_read_only_or_strided():
@@ -172,19 +141,6 @@ def test_batch_equals_single_bit_for_bit(case):
     reference, others = case
     batch = discrete_frechet_pairs(reference, others)
     assert batch.tolist() == [discrete_frechet(reference, other) for other in others]
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 100])
-def test_batch_of_real_numbers_equals_single_bit_for_bit(count, dimension):
-    rng = np.random.default_rng([count, dimension])
-    reference = walk(rng, 37, dimension)
-    others = [walk(rng, int(rng.integers(1, 60)), dimension) for _ in range(count)]
-    batch = discrete_frechet_pairs(reference, others)
-    assert batch.tolist() == [discrete_frechet(reference, other) for other in others]
-    assert batch.tolist() == [row_by_row(other, reference) for other in others]
-    backwards = discrete_frechet_pairs(reference, others[::-1])
-    assert backwards[::-1].tolist() == batch.tolist()
 
 
 def test_batch_of_nothing_is_empty():
@@ -230,50 +186,6 @@ def test_leaving_cells_out_changes_no_bit(n, m, dimension):
             assert [discrete_frechet(reference, other, bound=bound) for other in others] == expected
 
 
-def evenly(p: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
-    """The coupling that has gone the same share of both curves, rounded down, at every point of the longer one."""
-    long, short = max(len(p), len(q)), min(len(p), len(q))
-    pairs = [(i, i * (short - 1) // max(1, long - 1)) for i in range(long)]
-    return pairs if len(p) >= len(q) else [(j, i) for i, j in pairs]
-
-
-def greedily(p: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
-    """The coupling that always takes the shortest next link."""
-    pairs = [(0, 0)]
-    while pairs[-1] != (len(p) - 1, len(q) - 1):
-        i, j = pairs[-1]
-        onward = [(i + 1, j + 1), (i + 1, j), (i, j + 1)]
-        onward = [(a, b) for a, b in onward if a < len(p) and b < len(q)]
-        pairs.append(min(onward, key=lambda pair: math.dist(p[pair[0]], q[pair[1]])))
-    return pairs
-
-
-@pytest.mark.parametrize("dimension", [1, 2, 3])
-@pytest.mark.parametrize(("n", "m"), [(1, 1), (1, 6), (6, 1), (2, 5), (5, 2), (7, 7), (9, 13), (24, 11)])
-def test_quick_couplings_limit_the_distance_from_above(n, m, dimension):
-    """What they return must be a coupling's longest link: less than the distance would leave out what matters."""
-    rng = np.random.default_rng([4, n, m, dimension])
-    for _ in range(5):
-        p, q = walk(rng, n, dimension), walk(rng, m, dimension)
-        for kernel, coupling in ((_even_coupling, evenly(p, q)), (_greedy_coupling, greedily(p, q))):
-            assert coupling[0] == (0, 0)
-            assert coupling[-1] == (n - 1, m - 1)
-            assert all(b[0] - a[0] <= 1 and b[1] - a[1] <= 1 for a, b in itertools.pairwise(coupling))
-            longest = max(math.dist(p[i], q[j]) for i, j in coupling)
-            assert math.sqrt(kernel(p, q)) == pytest.approx(longest, rel=1e-14)
-            assert longest >= row_by_row(p, q) * (1 - 1e-14)
-
-
-def test_bound_agrees_with_similaritymeasures():
-    similaritymeasures = pytest.importorskip("similaritymeasures")
-    rng = np.random.default_rng(8)
-    for _ in range(20):
-        p, q = walk(rng, 23), walk(rng, 31)
-        theirs = similaritymeasures.frechet_dist(p, q)
-        assert discrete_frechet(p, q, bound=theirs * (1 + 1e-12)) == pytest.approx(theirs, rel=1e-14)
-        assert discrete_frechet(p, q, bound=theirs * (1 - 1e-12)) == math.inf
-
-
 @pytest.mark.parametrize("scale", [1e-149, 1e-100, 1e100, 1e149])
 def test_bound_holds_in_any_unit(scale):
     rng = np.random.default_rng(9)
@@ -294,14 +206,6 @@ def test_a_way_to_the_end_of_one_curve_that_is_lost_is_not_found_again(near, dim
     assert row_by_row(p, q) == pytest.approx(5.0)
     assert discrete_frechet(p, q, bound=1.0) == math.inf
     assert (discrete_frechet_pairs(p, [q] * 7, bound=1.0) == math.inf).all()
-
-
-def test_bound_of_nothing_keeps_equal_curves_only():
-    p = np.array([[0.0, 0.0], [1.0, 2.0], [3.0, 1.0]])
-    assert discrete_frechet(p, p, bound=0.0) == 0.0
-    assert discrete_frechet(p, np.repeat(p, 3, axis=0), bound=0.0) == 0.0
-    assert discrete_frechet(p, p + np.array([1e-9, 0.0]), bound=0.0) == math.inf
-    assert discrete_frechet_pairs(p, [p, p[::-1], p[:2]], bound=0.0).tolist() == [0.0, math.inf, math.inf]
 
 
 @pytest.mark.parametrize("bad", [-1.0, -math.inf, math.nan])
@@ -355,20 +259,3 @@ def test_bad_curves_are_refused_by_name(bad, message):
         discrete_frechet_pairs(bad, [GOOD])
     with pytest.raises(ValueError, match=r"others\[1\]"):
         discrete_frechet_pairs(GOOD, [GOOD, bad])
-
-
-def test_what_differs_is_said_in_figures():
-    with pytest.raises(ValueError, match=r"^p has 3 coordinates a point, q has 2$"):
-        discrete_frechet(np.zeros((4, 3)), np.zeros((5, 2)))
-    with pytest.raises(ValueError, match=r"^reference has 3 coordinates a point, others\[1\] has 2$"):
-        discrete_frechet_pairs(np.zeros((4, 3)), [np.zeros((6, 3)), np.zeros((5, 2))])
-    with pytest.raises(ValueError, match=r"^others\[0\] must be n × d points with n, d ≥ 1, got shape \(2,\)$"):
-        discrete_frechet_pairs(GOOD, np.zeros((5, 2)))  # one curve where a list of curves belongs
-
-
-def test_an_array_of_other_points_is_not_cut_into_points_that_fit():
-    """Its numbers would do for another count of points, and the distance would be wrong without a word."""
-    with pytest.raises(ValueError, match=r"^reference has 2 coordinates a point, others\[0\] has 4$"):
-        discrete_frechet_pairs(GOOD, np.zeros((3, 5, 4)))
-    with pytest.raises(ValueError, match=r"^others\[0\] must be n × d points with n, d ≥ 1, got shape \(5, 2, 2\)$"):
-        discrete_frechet_pairs(GOOD, np.zeros((3, 5, 2, 2)))

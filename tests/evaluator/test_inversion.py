@@ -14,7 +14,7 @@ class Mixed:
     """Three numbers that two parameters are mixed into, with noise that grows with the first."""
 
     def __init__(self, wanted: np.ndarray, growth: float) -> None:
-        self.wanted, self._growth = wanted, growth
+        self.observed, self._growth = wanted, growth
         self._noise = np.random.default_rng(3).standard_normal((20_000, 3))
 
     def allowed(self, free: np.ndarray) -> np.ndarray:

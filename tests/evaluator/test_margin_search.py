@@ -20,7 +20,7 @@ from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.rounds import in_processes, repeated
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
-from skd_evaluator.margin.search.trial import ActionSpace, prescribed
+from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.controllers import BasicController, Controller, make_controller
 from skd_sim.options.adversary import Knowledge
@@ -30,7 +30,6 @@ from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
-HIT_SPEED = CROSSING.collision.hit_speed
 LITTLE = Effort(16, 64)
 LONG = Effort(256, 4096)
 
@@ -135,7 +134,7 @@ def brute_force(episode: Episode, make) -> float:
     return least if least <= episode.scenario.eta_max else math.inf
 
 
-@pytest.mark.parametrize(("ticks", "period", "count"), [(3, None, 4), (2, 0.1, 6)])
+@pytest.mark.parametrize(("ticks", "period", "count"), [(3, None, 3), (2, 0.1, 3)])
 def test_of_a_car_with_a_state_it_is_what_brute_force_finds(ticks, period, count):
     margins = []
     for number in range(count):
@@ -158,7 +157,7 @@ def test_a_touch_that_is_too_slow_ends_the_episode():
     assert walked_in
 
 
-@pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
+@pytest.mark.parametrize("multiplier", [0.5, 1.15])
 def test_never_below_the_exact_margin_and_near_it(multiplier):
     reached, least = [], []
     crooked = [kamikaze_episode(bent(np.random.default_rng(seed), 9), 30, multiplier, seed) for seed in range(2)]
@@ -210,13 +209,6 @@ def test_what_kamikazes_did_is_begun_with():
     (hit,) = search_margins([episode], {episode.episode_id: [log]}, driver.rounds, Effort(1, 1)).hits
     assert hit is not None
     assert hit.distance <= exact.distance + 1e-9
-
-
-def test_the_actions_of_a_trajectory_lead_along_it():
-    space = ActionSpace(CROSSING, np.array(POINTS))
-    actions = np.random.default_rng(2).integers(space.action_count, size=space.ticks)
-    positions = space.candidate(actions).positions
-    assert space.candidate(space.actions_along(positions[:9])).positions[:8] == pytest.approx(positions[:8])
 
 
 @pytest.mark.parametrize(
@@ -281,12 +273,6 @@ def test_a_search_all_of_whose_episodes_are_aborted_is_an_error():
 
     with pytest.raises(AssessmentError, match="no answer"):
         search_margins(episodes(1.0, 2), {}, abort, LITTLE)
-
-
-def test_a_start_that_depends_on_phi_stays_that_of_the_trial():
-    scenario = replace(CROSSING, car=replace(CROSSING.car, meet_safe_trajectory=True))
-    episode = replace(episodes(1.0, 1)[0], scenario=scenario)
-    assert prescribed(episode, np.array([(-3.5, 0.0), (-3.0, 0.0)])).start_gap == episode.start_gap
 
 
 def test_a_limit_below_the_usual_effort_is_kept():

@@ -32,20 +32,6 @@ def test_margins_rise_with_c_where_they_are_searched_for(skd_here, here):
     assert "cbna-50: basic cars, 1 φ × 3 trials" in done.stdout
 
 
-def test_a_basic_car_has_the_margin_of_itself(skd_here, here):
-    """In the trials of its own assessment; that has no exact margin, for the target comes from the right."""
-    rating = assess(scenario="cpna", multiplier=1.1, safe="regulatory", safe_count=3, kamikaze_count=3,
-                    margin_limit=256, out=here / "assessed", **SIZES)  # fmt: skip
-    assert rating.equivalent is None
-    done = skd_here("scenarios", "reference", "assessed", "--multipliers", "1", "1.2",
-                    "--margin-limit", "256", "--workers", "1", "--out", "out", "--json")  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    (entry,) = json.loads(done.stdout)["references"]
-    assert entry["equivalent_multiplier"] == pytest.approx(1.1, abs=0.06)
-    low, high = entry["equivalent_multiplier_ci95"]
-    assert (low or 0.0) < 1.1 < (high or 9.0)
-
-
 def test_where_margins_are_exact_they_are_those_of_an_assessment(here):
     """And so the equivalent multiplier is what the assessment says."""
     rating = assess(multiplier=1.0, safe_count=2, kamikaze_count=3, out=here / "assessed", **SIZES)

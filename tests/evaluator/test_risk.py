@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_support import SMALL, one_line, skd
+from cli_support import SMALL, skd
 from scipy import special, stats
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
-from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
+from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of, risk_request, runs_of, why_no_risk
+from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of, risk_request, why_no_risk
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import OF_PERSON, load_behaviour
 from skd_evaluator.metrics.risks import ScaleRisk, Subsets, Touch, log_t_interval
@@ -24,17 +24,13 @@ from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import _MOVED, SubsetEffort, _moved, gathered, levels_of, replicate
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.episode import Outcome
 from skd_sim.world.state import Trajectory
 from stages import rate, with_risks
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20)
 WALKERS = load_behaviour("walkers")
-
-
-def quiet(*_told: object) -> None:
-    pass
 
 
 @pytest.fixture(scope="module")
@@ -66,21 +62,6 @@ def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario,
     np.testing.assert_allclose(compiled.missed, whole.missed, atol=1e-9)
     assert (compiled.touch == Touch.FRONT).any()
     np.testing.assert_array_equal(compiled.touch == Touch.FRONT, compiled.missed == 0.0)
-
-
-def test_a_crossing_starts_as_a_run_along_phi_does(safe):
-    """Its car is where the plan's car is, whatever way is walked; and so without deviations it is a run along φ."""
-    plan = replace(PLAN, scenario=load_scenario("citr_crossing"), multiplier=0.5)
-    here = crossing_plan((recorded(),), plan)
-    crossings = crude_crossings(here, 12)
-    for walked in AnyCar(here, InProcessRunner(1)).episodes(crossings, 0.0):
-        stage, index, trial = split_episode_id(walked.episode_id)
-        assert (stage, index) == (Stage.RISK, 0)
-        along = replace(plan.episode(Mode.REPLAY, 0, trial, recorded()), episode_id=walked.episode_id)
-        mine, theirs = run_episode(walked), run_episode(along)
-        np.testing.assert_array_equal(mine.car, theirs.car)
-        np.testing.assert_allclose(mine.adversary, theirs.adversary, atol=1e-12)
-        assert mine.outcome == theirs.outcome
 
 
 def test_sides_of_a_contact_are_told_apart(safe):
@@ -203,16 +184,6 @@ def test_subset_simulation_agrees_with_crude_runs_of_a_car(safe):
     assert apart < 0.1 * risk.value + 3.0 * math.sqrt(hits) / count
 
 
-def test_uniform_draws_of_the_car_come_from_its_normals(safe):
-    here = crossing_plan(safe)
-    car, crossings = KnownCar(here), crude_crossings(here, 50)
-    normals = np.random.default_rng(1).standard_normal((50, car.car_normals))
-    by_normals = car.run(replace(crossings, car=normals), 1.0)
-    by_draws = car.run_drawn(crossings, stats.norm.cdf(normals), 1.0)
-    np.testing.assert_array_equal(by_normals.touch, by_draws.touch)
-    np.testing.assert_allclose(by_normals.missed, by_draws.missed, atol=1e-9)
-
-
 @pytest.fixture(scope="module")
 def ratings(safe) -> dict[str, Assessment]:
     plans = {"basic": replace(PLAN, multiplier=1.5), "carla": replace(PLAN, controller="carla")}
@@ -264,16 +235,6 @@ def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings
     assert [(one.value, one.lost, one.runs) for one in found.risks.scales] == [(None, 20, 6)] * 3
     assert found.as_dict()["risk_1"] is None
     assert found.risk_note == ""
-
-
-def test_how_many_runs_there_are():
-    asked, many = RiskRequest(WALKERS), replace(PLAN, collision_runs=500)
-    assert runs_of(many, asked) == 2000
-    assert runs_of(replace(many, controller="carla"), asked) == 500
-    assert runs_of(PLAN, asked) == 32
-    assert runs_of(many, asked, graph=True) == 100
-    assert runs_of(PLAN, asked, graph=True) == 8
-    assert runs_of(PLAN, RiskRequest(WALKERS, runs=77)) == 77
 
 
 def test_why_there_is_no_risk():
@@ -340,9 +301,3 @@ def test_the_command_reports_it_and_leaves_everything_else_alone(tmp_path):
         assert {name for name in both.files if not name.startswith("risk_")} == set(without.files)
         for name in without.files:
             np.testing.assert_array_equal(without[name], both[name])
-
-
-def test_a_behaviour_that_is_none_is_one_line(tmp_path):
-    done = skd("assess", *SMALL, "--behaviour", "walker", "--out", "it", cwd=tmp_path)
-    one_line(done, 2, "behaviour 'walker'", "did you mean 'walkers'?")
-    assert not (tmp_path / "it").exists()

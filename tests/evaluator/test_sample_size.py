@@ -84,14 +84,3 @@ def test_without_variance_a_difference_is_found_for_sure_or_by_chance_alone():
         theirs = stats.nct.sf(bound, freedom, 1.0 / error) + stats.nct.cdf(-bound, freedom, 1.0 / error)
         assert power(1.0, 0.4, 0.2, 5, 2, paired=paired, level=0.2) == pytest.approx(theirs, abs=2e-4)
     assert power(0.0, 0.4, 0.2, 5, 2, paired=True) == pytest.approx(0.05, abs=1e-5)
-
-
-def test_sizes_are_of_two_to_ten_thousand_phi():
-    wide = sizes_for_width(1e6, 0.1, 0.1)
-    assert [size.trials for size in wide] == [10, 20, 25, 50, 100, 200, 400]
-    assert {(size.safe, size.power) for size in wide} == {(2, None)}
-    assert [size.episodes for size in wide] == [2 * size.trials for size in wide]
-    least = expected_width(0.1, 0.1, 10_000, 10)
-    (size,) = sizes_for_width(least, 0.1, 0.1, counts=[10])
-    assert (size.safe, size.width) == (10_000, least)
-    assert sizes_for_width(math.nextafter(least, 0.0), 0.1, 0.1, counts=[10]) == []

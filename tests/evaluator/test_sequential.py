@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.cli.commands import make_parser
 from skd_evaluator.metrics.clustered import clustered_mean
-from skd_evaluator.metrics.sample_size import MOST_LOOKS, UntilWidth, narrow_enough, nominal_confidence
+from skd_evaluator.metrics.sample_size import UntilWidth, narrow_enough, nominal_confidence
 
 
 @pytest.mark.parametrize(
@@ -50,21 +49,3 @@ def test_an_interval_without_width_or_none_is_not_narrow():
     assert "not 1 m as wanted" in stopped.text
     with pytest.raises(ValueError, match="at least one look"):
         nominal_confidence(0)
-
-
-def test_more_looks_never_make_an_interval_narrower():
-    """The confidence rises with the looks up to the most that are taken; with 1,000 it had been 94.7 %."""
-    each = [nominal_confidence(looks) for looks in (1, 2, 5, 20, 60, MOST_LOOKS)]
-    assert each == sorted(each)
-    assert 1.0 - 0.05 / MOST_LOOKS > each[-1] > each[0]  # Bonferroni's inequality
-    for looks in (MOST_LOOKS + 1, 1000):
-        with pytest.raises(ValueError, match="at most"):
-            nominal_confidence(looks)
-
-
-def test_the_command_takes_as_many_looks_as_can_be_computed(capsys):
-    of = ["fuse", "simulated", "physical", "--looks"]
-    assert make_parser().parse_args([*of, str(MOST_LOOKS)]).looks == MOST_LOOKS
-    with pytest.raises(SystemExit):
-        make_parser().parse_args([*of, str(MOST_LOOKS + 1)])
-    assert f"≤ {MOST_LOOKS}" in capsys.readouterr().err

@@ -38,10 +38,6 @@ def test_wilson_at_the_ends_is_exact_there_and_as_scipy_elsewhere(trials):
     assert every[0] == pytest.approx(1.0 - none[1])
 
 
-def test_wilson_without_trials_is_unknown():
-    assert wilson_interval(0, 0) is None
-
-
 @pytest.mark.parametrize(("successes", "trials"), [(-1, 3), (4, 3), (0, -1)])
 def test_wilson_refuses_impossible_counts(successes, trials):
     with pytest.raises(ValueError, match="successes"):
@@ -67,19 +63,6 @@ def test_normal_interval_equals_scipy(values, confidence):
     if spread > 1e-9:
         theirs = stats.norm.interval(confidence, loc=np.mean(values), scale=spread)
         assert normal_interval(values, confidence) == pytest.approx(theirs, rel=1e-7, abs=1e-6)
-
-
-def test_normal_interval_by_hand():
-    # mean 2, s = 1, n = 3
-    half = 1.959963984540054 / math.sqrt(3.0)
-    assert normal_interval([1.0, 2.0, 3.0]) == pytest.approx((2.0 - half, 2.0 + half), rel=1e-14)
-    assert normal_interval([4.0, 4.0]) == (4.0, 4.0)
-
-
-@pytest.mark.parametrize("values", [[], [3.0]])
-def test_spread_of_fewer_than_two_values_is_unknown(values):
-    assert normal_interval(values) is None
-    assert sample_variance(values) is None
 
 
 @given(NUMBERS, st.randoms())
@@ -109,11 +92,6 @@ def test_bound_follows_the_papers_algebra(delta, variance, share):
     bound = frechet_probability_bound(eta, delta, variance)
     assert 0.0 <= bound <= 1.0
     assert bound == pytest.approx(min(1.0, papers_last_line), rel=1e-9, abs=1e-12)
-
-
-def test_bound_by_hand():
-    assert frechet_probability_bound(0.5, 2.0, 1.0) == pytest.approx(3.0 / 5.0)
-    assert frechet_probability_bound(1.9, 2.0, 1.0) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -155,12 +133,3 @@ def test_ratio_interval_covers_the_ratio_of_the_means():
         low, high = ratio_interval(3.0 * below + rng.normal(0.0, 0.3, 60), below)
         covered += low <= 3.0 <= high
     assert 0.91 <= covered / 400 <= 0.98  # 95 % of 400 trials, give or take three standard errors
-
-
-def test_ratio_interval_of_proportional_values_has_no_width():
-    assert ratio_interval([2.0, 4.0, 6.0], [1.0, 2.0, 3.0]) == pytest.approx((2.0, 2.0))
-    assert ratio_interval([2.0], [1.0]) is None
-    with pytest.raises(ValueError, match="3 numerators and 2"):
-        ratio_interval([1.0, 2.0, 3.0], [1.0, 2.0])
-    with pytest.raises(ValueError, match="positive"):
-        ratio_interval([1.0, 2.0], [0.0, 0.0])

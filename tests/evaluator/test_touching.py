@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.risk.crossings import CREEPING, IN_A_CURVE, SAME, in_car_frame, missed_by, side_touched
+from skd_evaluator.risk.crossings import CREEPING, IN_A_CURVE, SAME, missed_by, side_touched
 
 FOOTPRINT, RADIUS, HIT_SPEED, STEP = (2.25, 2.25, 0.9), 0.25, 0.556, 0.05
 
@@ -100,13 +100,6 @@ def test_in_a_curve_who_is_not_ahead_of_the_front_touches_a_side(ahead, left, ex
         assert side_touched(ahead, left, FOOTPRINT, RADIUS, 5.0, HIT_SPEED, same) == wanted
 
 
-def test_the_side_is_that_of_the_moment_of_contact():
-    path, here, there = driving(20.0), (0.5, 2.75), (1.15, 1.0)  # before the front, then beside the car
-    for share, wanted in ((0.25, FRONT), (1.0, ELSEWHERE)):
-        ahead, left, _ = in_car_frame(path, here, there, share)
-        assert side_touched(ahead, left, FOOTPRINT, RADIUS, 5.0, HIT_SPEED, SAME) == wanted
-
-
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize(("walks", "counts_as"), [(1.5, 1.5), (0.1, 0.2), (0.0, 0.2), (-1.5, 0.2)])
 @pytest.mark.parametrize("beside", [0.4, 2.0])
@@ -115,18 +108,3 @@ def test_beside_the_way_it_is_the_distance_over_how_fast_somebody_comes(side, wa
     there = (here[0] - side * walks * STEP, here[1])
     found = missed_by(driving(5.0), here, there, 0.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP)
     assert found == pytest.approx((beside - RADIUS) / counts_as)
-
-
-@pytest.mark.parametrize("until", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("speed", [1.0, 5.0])
-def test_ahead_it_is_the_distance_over_how_much_faster_than_a_hit_the_car_is(until, speed):
-    place = (0.3, FOOTPRINT[0] + 2.0)
-    found = missed_by(driving(speed), place, place, until, FOOTPRINT, RADIUS, HIT_SPEED, STEP)
-    left = 2.0 - until * speed * STEP - RADIUS
-    assert found == pytest.approx(left / max(speed - HIT_SPEED, CREEPING))
-    assert missed_by(driving(HIT_SPEED), place, place, until, FOOTPRINT, RADIUS, HIT_SPEED, STEP) == math.inf
-
-
-def test_who_is_touched_is_missed_by_nothing():
-    place = (0.3, FOOTPRINT[0] + RADIUS)
-    assert missed_by(driving(5.0), place, place, 1.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP) == 0.0

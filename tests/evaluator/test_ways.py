@@ -60,10 +60,3 @@ def test_a_cyclist_goes_as_phi_as_far_as_it_can():
     between = 2.8 * np.array([math.cos(0.1), math.sin(0.1)])
     reachable = np.vstack([straight[:3], straight[2] + step * between])
     assert velocities(CYCLIST, reachable, 2, straight[:3])[-1] == pytest.approx(between)
-
-
-def test_a_cyclist_needs_to_know_where_it_has_been():
-    with pytest.raises(ValueError, match="cyclist"):
-        velocities(CYCLIST, PHI, 1)
-    with pytest.raises(ValueError, match="2 places"):
-        velocities(CYCLIST, PHI, 1, PHI[:1])

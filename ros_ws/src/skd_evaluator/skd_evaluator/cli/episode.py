@@ -14,7 +14,7 @@ from skd_evaluator.assessment.files.results import episode_summary
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
 from skd_evaluator.assessment.stages.car_model import graph_settings, learned
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph
-from skd_evaluator.assessment.stages.risk import behaviour_asked, single_crossing
+from skd_evaluator.assessment.stages.risk import single_crossing, unchanged_behaviour
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import graph_options, say
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = result_folder(arguments)
     number, trial = arguments.safe_number, arguments.trial
     if arguments.mode == "risk":
-        episode = single_crossing(plan, behaviour_asked(arguments.behaviour), number, trial, arguments.scale)
+        episode = single_crossing(plan, unchanged_behaviour(arguments.behaviour), number, trial, arguments.scale)
     else:
         episode = single_episode(plan, Mode[arguments.mode.upper()], trial, safe_number=number)
     compile_for_graph(plan, [plan.objective])

@@ -4,7 +4,7 @@ A basic car is put in the place of the car under test: the same scenario, φ, se
 same draws. It is the basic car of the paper, which decides once a tick and moves as the paper says, whatever the clock
 and the dynamics of the car that is rated: all cars have the same yardstick, and its margins are exact.
 
-C are hundredths. They are asked for as they are needed: C whose margins lie on both sides of the car's are searched by
+C are hundredths. They are computed as they are needed: C whose margins lie on both sides of the car's are searched by
 bisection, and then those at which the difference is told apart from 0. That depends on the car's margins alone, and not
 on what was kept from before, nor on time or the number of workers.
 
@@ -51,7 +51,7 @@ LABEL = "basic cars"
 LOWEST: Final = 25
 HIGHEST: Final = 200
 """Of C, in hundredths."""
-_COARSE, _FINE = 5, 1  # hundredths between the C that are asked for: at first, and around the value and interval ends
+_COARSE, _FINE = 5, 1  # hundredths between the C that are computed: at first, and around the value and interval ends
 _PROBES = (25, 50, 75, 100, 115, 130, 150, 200)
 _FIRST = 3  # of the probes
 _MOST, _MOST_OF_ANY_PACE = 1000, 200
@@ -194,7 +194,7 @@ def equivalent_of(
     if not any(np.isfinite(one).any() for one in car):
         return None, f"none of the first {used} trials on each φ has a margin"
     basic = BasicMargins(plan, safe, used, runner, progress, users_cache() if cache is None else cache)
-    asked: dict[int, list[FloatArray]] = {}
+    computed: dict[int, list[FloatArray]] = {}
     differences: dict[int, MarginDifference] = {}
 
     def compared(hundredths: int) -> MarginDifference:
@@ -203,16 +203,16 @@ def equivalent_of(
             found = difference(car, margins)
             if found is None:
                 raise _NothingInCommonError
-            asked[hundredths], differences[hundredths] = margins, found
+            computed[hundredths], differences[hundredths] = margins, found
         return differences[hundredths]
 
     try:
         search(compared, _guess(plan))
     except _NothingInCommonError:
         return None, "the search for the margins of basic cars has no room"
-    found = equivalent_multiplier(car, {one / 100: margins for one, margins in asked.items()})
-    low, high = min(asked) / 100, max(asked) / 100
-    note = f"read off {len(asked)} basic cars, C = {low:g} to {high:g}, in the same trials"
+    found = equivalent_multiplier(car, {one / 100: margins for one, margins in computed.items()})
+    low, high = min(computed) / 100, max(computed) / 100
+    note = f"read off {len(computed)} basic cars, C = {low:g} to {high:g}, in the same trials"
     return found, note + (f" (the first {used} of {trials} on each φ)" if used < trials else "")
 
 

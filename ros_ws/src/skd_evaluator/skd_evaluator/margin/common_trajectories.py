@@ -28,7 +28,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import SAME, in_processes
-from skd_evaluator.margin.search.search import OtherHit, margins_beside
+from skd_evaluator.margin.search.search import OtherHit, margins_with_other_hits
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import Hit, deviation
 from skd_evaluator.metrics.statistics import mean
@@ -117,7 +117,9 @@ def _margins(result: StoredResult, ways: Ways, hits: Sequence[OtherHit], progres
         if again < len(logs):
             raise AssessmentError(f"of its {len(logs)} hits {again} come again: it is another car now")
         known = {log.episode.episode_id: log for log in logs}
-        found = margins_beside([one for row in trials for one in row], known, hits, in_processes(runner, progress))
+        found = margins_with_other_hits(
+            [one for row in trials for one in row], known, hits, in_processes(runner, progress)
+        )
     ends = np.cumsum([len(one) for one in groups])[:-1]
     return tuple(map(np.minimum, groups, np.split(np.array(found), ends)))
 

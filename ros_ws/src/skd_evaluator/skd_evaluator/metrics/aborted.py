@@ -34,7 +34,7 @@ class Lost:
         episodes: how many there are, aborted ones included.
         figure: name of a figure that they would have counted for; empty: there is none.
         label: what that is called in a sentence.
-        beside: whether they are neither kamikazes of an objective nor runs along φ, which are held against it together.
+        separate: whether they are neither kamikazes of an objective nor runs along φ, which count together.
     """
 
     what: str
@@ -42,7 +42,7 @@ class Lost:
     episodes: int
     figure: str = ""
     label: str = ""
-    beside: bool = False
+    separate: bool = False
 
     def __str__(self) -> str:
         return f"{self.aborted} of {self.episodes} {self.what}"
@@ -134,7 +134,7 @@ def too_many_aborted(figures: Figures, maximum: float) -> str | None:
     if not over:
         return None
     limit = f"more than --max-aborted {100 * maximum:g} %"
-    named = [total, *(one for one in over if one.beside)] if over[0] is total else over
+    named = [total, *(one for one in over if one.separate)] if over[0] is total else over
     found = [f"{', '.join(map(str, named))} were aborted, {limit}"]
     for kind, most in list(figures["aborted_reasons"].items())[:1]:  # the most frequent one, of kamikazes and runs
         which = "of them" if over[0] is total else "of all that were aborted"

@@ -194,15 +194,15 @@ def clustered_mean(
     return Clustered(value, interval, error, freedom, len(filled), int(counts.sum()), components, tuple(notes))
 
 
-def group_notes(filled: int, asked: int) -> list[str]:
+def group_notes(filled: int, total: int) -> list[str]:
     """Return what a reader should know of an interval over so few groups, of which some may have no value."""
     found = []
     if filled < 2:
         found.append("one φ: no interval, for how φ differ is not known")
     elif filled < FEW:
         found.append(f"{filled} φ: an interval over so few is wide, and rests on the φ being of one kind")
-    if filled < asked:
-        found.append(f"{asked - filled} of {asked} φ have nothing to count")
+    if filled < total:
+        found.append(f"{total - filled} of {total} φ have nothing to count")
     return found
 
 
@@ -361,11 +361,11 @@ class Prior:
         kept = shares > max(_NEGLIGIBLE, precision)
         weights = counts / counts.sum()
         errors = np.sqrt(squares / freedom * (spreads @ weights**2))[kept]
-        wanted, parts = 0.5 + confidence / 2.0, shares[kept] / shares[kept].sum()
-        low, high = scipy.special.stdtrit(freedom, wanted) * np.array([0.5 * errors.min(), 2.0 * errors.max()])
+        level, parts = 0.5 + confidence / 2.0, shares[kept] / shares[kept].sum()
+        low, high = scipy.special.stdtrit(freedom, level) * np.array([0.5 * errors.min(), 2.0 * errors.max()])
 
         def beyond(reach: float) -> float:
-            return float(parts @ scipy.special.stdtr(freedom, reach / errors) - wanted)
+            return float(parts @ scipy.special.stdtr(freedom, reach / errors) - level)
 
         # brentq's own least tolerance, 2e-12 m, is the one of figures.
         return float(

@@ -203,7 +203,7 @@ def _diagonals_in_plane(
         _fence(new, begin, count, lanes)
         diagonal = before[begin : begin + count]
         above = last[begin : begin + count]
-        beside = last[begin + lanes : begin + lanes + count]
+        adjacent = last[begin + lanes : begin + lanes + count]
         cell = new[begin + lanes : begin + lanes + count]
         px = columns_p[begin : begin + count]
         py = columns_p[wide + begin : wide + begin + count]
@@ -213,7 +213,7 @@ def _diagonals_in_plane(
             dx = px[i] - qx[i]
             dy = py[i] - qy[i]
             link = dx * dx + dy * dy
-            reach = above[i] if above[i] < beside[i] else beside[i]
+            reach = above[i] if above[i] < adjacent[i] else adjacent[i]
             reach = diagonal[i] if diagonal[i] < reach else reach
             cell[i] = link if link > reach else reach
         before, last, new = last, new, before
@@ -257,10 +257,10 @@ def _diagonals(
                 links[i] += delta * delta
         diagonal = before[begin : begin + count]
         above = last[begin : begin + count]
-        beside = last[begin + lanes : begin + lanes + count]
+        adjacent = last[begin + lanes : begin + lanes + count]
         cell = new[begin + lanes : begin + lanes + count]
         for i in range(count):
-            reach = above[i] if above[i] < beside[i] else beside[i]
+            reach = above[i] if above[i] < adjacent[i] else adjacent[i]
             reach = diagonal[i] if diagonal[i] < reach else reach
             cell[i] = links[i] if links[i] > reach else reach
         before, last, new = last, new, before

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, Protocol
+from dataclasses import dataclass, fields
+from typing import Any, Final, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +25,35 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.behaviour.model import normals_of
 
 
+class _Rows:
+    """Arrays, or None, of which row k is of crossing k."""
+
+    def _arrays(self) -> list[npt.NDArray[Any] | None]:
+        return [getattr(self, one.name) for one in fields(self)]  # type: ignore[arg-type]
+
+    def of(self, rows: IntArray) -> Self:
+        """Return some of them."""
+        return type(self)(*(None if one is None else one[rows] for one in self._arrays()))
+
+    @classmethod
+    def together(cls, parts: Sequence[Self]) -> Self:
+        """Return several as one."""
+        columns = zip(*(one._arrays() for one in parts), strict=True)
+        return cls(*(None if any(one is None for one in column) else np.concatenate(column) for column in columns))
+
+    def where(self, chosen: npt.NDArray[np.bool_], other: Self) -> Self:
+        """Return the rows of `other` where `chosen`, else these."""
+        both = zip(self._arrays(), other._arrays(), strict=True)
+        return type(self)(*(None if a is None or b is None else np.where(_like(chosen, a), b, a) for a, b in both))
+
+
+def _like(chosen: npt.NDArray[np.bool_], array: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    return chosen.reshape(-1, *(1,) * (array.ndim - 1))
+
+
 @dataclass(frozen=True, eq=False)
-class Crossings:
-    """Some crossings; row k of each array is of crossing k.
+class Crossings(_Rows):
+    """Some crossings.
 
     Attributes:
         phi: number of φ.
@@ -44,64 +70,21 @@ class Crossings:
     def __len__(self) -> int:
         return len(self.phi)
 
-    def of(self, rows: IntArray) -> Crossings:
-        """Return some of them."""
-        return Crossings(self.phi[rows], self.walker[rows], self.car[rows], self.draw[rows])
-
-    @staticmethod
-    def together(parts: Sequence[Crossings]) -> Crossings:
-        """Return several crossings as one."""
-        return Crossings(
-            np.concatenate([one.phi for one in parts]),
-            np.concatenate([one.walker for one in parts]),
-            np.concatenate([one.car for one in parts]),
-            np.concatenate([one.draw for one in parts]),
-        )
-
-    def where(self, chosen: npt.NDArray[np.bool_], other: Crossings) -> Crossings:
-        """Return the crossings of `other` where `chosen`, else these."""
-        column = chosen[:, None]
-        return Crossings(
-            np.where(chosen, other.phi, self.phi),
-            np.where(column, other.walker, self.walker),
-            np.where(column, other.car, self.car),
-            np.where(chosen, other.draw, self.draw),
-        )
-
 
 @dataclass(frozen=True, eq=False)
-class Ends:
+class Ends(_Rows):
     """How crossings ended.
 
     Attributes:
         touch: of each, a `Touch`.
-        missed: least time by which the front of the moving car missed, s (`touching.missed_by`); 0 where, and only
-            where, it hit.
-        ticks: how many each had, that of a contact included; None: nobody asks, as in subset simulation.
+        missed: least time by which the front of the moving car missed, s (`missed_by`); 0 where, and only where, it
+            hit.
+        ticks: how many each had, that of a contact included.
     """
 
     touch: IntArray
     missed: FloatArray
     ticks: IntArray | None = None
-
-    def of(self, rows: IntArray) -> Ends:
-        """Return some of them."""
-        return Ends(self.touch[rows], self.missed[rows])
-
-    @staticmethod
-    def together(parts: Sequence[Ends]) -> Ends:
-        """Return several as one."""
-        ticks = [one.ticks for one in parts if one.ticks is not None]
-        return Ends(
-            np.concatenate([one.touch for one in parts]),
-            np.concatenate([one.missed for one in parts]),
-            np.concatenate(ticks) if len(ticks) == len(parts) else None,
-        )
-
-    def where(self, chosen: npt.NDArray[np.bool_], other: Ends) -> Ends:
-        """Return the ends of `other` where `chosen`, else these."""
-        touch = np.where(chosen, other.touch, self.touch)
-        return Ends(touch, np.where(chosen, other.missed, self.missed))
 
 
 class CrossingRunner(Protocol):

@@ -40,7 +40,7 @@ _ROUNDING = 1e-6  # m
 WHOLE_EPISODE_TRIALS = 5
 """Trials on each φ whose margin is searched by whole episodes."""
 NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
-NOT_ASKED = "--margin-limit 0: the margin was not asked for"
+NOT_REQUESTED = "--margin-limit 0: the margin was not requested"
 
 
 def warm_up_margins() -> None:
@@ -60,7 +60,7 @@ def why_no_margin(plan: Plan, limit: int, *, whole_episodes: bool) -> str:
         whole_episodes: whether whole episodes search it.
     """
     if limit == 0:
-        return NOT_ASKED
+        return NOT_REQUESTED
     if not repeats_itself(plan.simulator) or not (whole_episodes or is_own_world(plan.simulator)):
         return f"the margin needs SKD's own world: what simulator {plan.simulator} would have done is not known"
     if plan.car.is_external and not whole_episodes:
@@ -156,7 +156,7 @@ def _without_noise(episode: Episode) -> Episode:
     return replace(episode, scenario=replace(episode.scenario, car=car), public=episode.public_scenario)
 
 
-def _otherwise(plan: Plan, number: int, trials: int) -> str:
+def _inconsistent(plan: Plan, number: int, trials: int) -> str:
     return (
         f"{NOT_CREDIBLE}in {number} of {trials} trials a planned kamikaze was hit where the search for the margin was "
         f"not: {plan.controller} answers the search otherwise than an episode; these hits count"
@@ -227,7 +227,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
             if search is not None:
                 found, shorter = with_planned_hits(episodes, found, logs)
                 if shorter:
-                    warnings = [_otherwise(plan, shorter, len(episodes))]
+                    warnings = [_inconsistent(plan, shorter, len(episodes))]
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
@@ -250,7 +250,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
 
 
 @contextmanager
-def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], None]]:
+def margins_compiled_in_background(*, needed: bool = True) -> Iterator[Callable[[], None]]:
     """Begin to compile the searches for the margin in another process, where that is to be done anew.
 
     They take as long as the planners of an assessment, nearly half a minute, and most machines have a second core. What
@@ -260,17 +260,17 @@ def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], Non
     before other threads start: a process with threads is not safe to fork.
 
     Args:
-        wanted: whether any margin is to be computed; if not, nothing is done.
+        needed: whether any margin is to be computed; if not, nothing is done.
     """
     with ExitStack() as stack:
         wait: Callable[[], bool] | None = None
-        if wanted and available_workers() > 1 and not is_kept(search_least):
+        if needed and available_workers() > 1 and not is_kept(search_least):
             wait = stack.enter_context(in_background(_compile))
 
         def load() -> None:
             if wait is not None:
                 wait()  # however it ended: what it has not compiled is compiled here
-            if wanted:
+            if needed:
                 warm_up_margins()
 
         yield load

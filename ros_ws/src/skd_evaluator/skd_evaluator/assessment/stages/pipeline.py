@@ -84,7 +84,7 @@ def assess_in_process(context: Context, assessment: Assessment) -> Assessment:
 
 def start_workers(context: Context, plan: Plan) -> None:
     """Start the workers of a context, after all that an assessment needs has been compiled."""
-    with margin.margins_compiled_beside(wanted=context.margin_limit > 0) as load_margins:
+    with margin.margins_compiled_in_background(needed=context.margin_limit > 0) as load_margins:
         if context.risk.behaviour is not None:
             risk.warm_up_risk(plan)
         context.workers.start(planners_of(plan, context.objectives), inherited=load_margins)

@@ -56,7 +56,7 @@ def why_no_risk(plan: Plan, behaviour: Behaviour | None) -> str:
     """Return why there is no risk of a plan, in one line; empty where there is one."""
     scenario = plan.scenario
     if behaviour is None:
-        return NOT_ASKED
+        return NOT_REQUESTED
     if not repeats_itself(plan.simulator):
         return f"the risk needs SKD's own world: crossings in simulator {plan.simulator} are not run"
     kind = road_user_named(scenario.adversary.kind).name
@@ -255,7 +255,7 @@ def _subsets(
     return gathered(found, effort)
 
 
-NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"
+NOT_REQUESTED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not requested"
 
 
 def risk_request(behaviour: str, runs: int | None = None, *, subset: bool = False) -> RiskRequest:
@@ -266,14 +266,14 @@ def risk_request(behaviour: str, runs: int | None = None, *, subset: bool = Fals
             risk is not asked for, and how to find it is.
     """
     if behaviour != NO_BEHAVIOUR:
-        return RiskRequest(behaviour_asked(behaviour), runs, subset)
+        return RiskRequest(unchanged_behaviour(behaviour), runs, subset)
     if runs is not None or subset:
         option = "risk_subset" if runs is None else f"risk_runs {runs}"
         raise UsageError(f"{option}: --behaviour {NO_BEHAVIOUR} asks for no risk; leave one of them away")
     return RiskRequest()
 
 
-def behaviour_asked(name: str) -> Behaviour:
+def unchanged_behaviour(name: str) -> Behaviour:
     """Return the behaviour model of a name, file or folder, as `skd fit --people` wrote it.
 
     Raises:

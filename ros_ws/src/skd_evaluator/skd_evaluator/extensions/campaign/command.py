@@ -15,7 +15,7 @@ from skd_sim.errors import UsageError
 from skd_sim.world.episode import Episode
 
 from skd_evaluator.assessment.run.workers import available_workers
-from skd_evaluator.assessment.stages.margin import margins_compiled_beside
+from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
 from skd_evaluator.assessment.stages.risk import warm_up_risk
 from skd_evaluator.cli.arguments import output_path, runner_of
@@ -96,7 +96,7 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
             answer_limit=max(cell.answer_limit for cell in in_process),
         )
         with runner:
-            with margins_compiled_beside(wanted=any(cell.margin_limit for cell in in_process)) as load_margins:
+            with margins_compiled_in_background(needed=any(cell.margin_limit for cell in in_process)) as load_margins:
                 for cell in in_process:
                     if cell.risk.behaviour is not None:
                         warm_up_risk(cell.plan)

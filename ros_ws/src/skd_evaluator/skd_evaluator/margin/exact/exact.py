@@ -30,12 +30,12 @@ from skd_evaluator.margin.exact.reachability import (
     ExactProblem,
     Reachability,
     fill_moves,
-    foresee,
     is_hopeful,
-    look_back,
     make_problem,
     make_reachability,
     place_of_phi,
+    reach_backwards,
+    reach_forwards,
     where_of,
 )
 from skd_evaluator.metrics.deviation import Hit, deviation
@@ -133,7 +133,7 @@ class Nodes(NamedTuple):
     size: IntArray  # [nodes, layers so far]
     place: FloatArray  # node → x, y, m
     history: IntArray  # node → history of the reachability bound
-    strayed: FloatArray  # node → greatest distance from φ so far, m
+    deviated: FloatArray  # node → greatest distance from φ so far, m
     origin: IntArray  # node → node before
     move: IntArray  # node → move that led here
     slot: IntArray  # hash table
@@ -150,7 +150,7 @@ def make_nodes(capacity: int) -> Nodes:
         size=np.zeros(2, np.int64),
         place=np.empty((capacity, 2)),
         history=integers(),
-        strayed=np.empty(capacity),
+        deviated=np.empty(capacity),
         origin=integers(),
         move=integers(),
         slot=np.empty(2 * capacity, np.int64),
@@ -168,7 +168,7 @@ def _hash(i: int, j: int, history: int, mask: int) -> int:
 
 @kernel(inline=True)
 def _visit(
-    q: Nodes, x: float, y: float, history: int, strayed: float, origin: int, move: int, stamp: int, cell: float
+    q: Nodes, x: float, y: float, history: int, deviated: float, origin: int, move: int, stamp: int, cell: float
 ) -> bool:
     """Add a node to a layer, unless the place was reached with less deviation; False: there is no room."""
     mask = q.slot.shape[0] - 1
@@ -181,9 +181,9 @@ def _visit(
             and int(np.floor(q.place[known, 0] / cell + _SHIFT)) == i
             and int(np.floor(q.place[known, 1] / cell + _SHIFT)) == j
         ):
-            if strayed < q.strayed[known]:
+            if deviated < q.deviated[known]:
                 q.place[known, 0], q.place[known, 1] = x, y
-                q.strayed[known] = strayed
+                q.deviated[known] = deviated
                 q.origin[known], q.move[known] = origin, move
             return True
         slot = (slot + 1) & mask
@@ -195,7 +195,7 @@ def _visit(
     q.slot[slot] = node
     q.place[node, 0], q.place[node, 1] = x, y
     q.history[node] = history
-    q.strayed[node] = strayed
+    q.deviated[node] = deviated
     q.origin[node] = origin
     q.move[node] = move
     return True
@@ -243,8 +243,8 @@ def search_within(c: ExactProblem, f: Reachability, q: Nodes, limit: float, cell
                 steps[distinct, 0], steps[distinct, 1], names[distinct] = vx, vy, move
                 distinct += 1
         for node in range(begin, end):
-            strayed = q.strayed[node]
-            if strayed >= limit:
+            deviated = q.deviated[node]
+            if deviated >= limit:
                 continue
             history = q.history[node]
             x, y = q.place[node, 0], q.place[node, 1]
@@ -275,7 +275,7 @@ def search_within(c: ExactProblem, f: Reachability, q: Nodes, limit: float, cell
                         if impact >= c.hit_speed:
                             away_x = x + fraction * (x_to - x) - (x_phi + fraction * (x_phi_to - x_phi))
                             away_y = y + fraction * (y_to - y) - (y_phi + fraction * (y_phi_to - y_phi))
-                            distance = max(strayed, np.sqrt(away_x * away_x + away_y * away_y))
+                            distance = max(deviated, np.sqrt(away_x * away_x + away_y * away_y))
                             if distance < limit:
                                 limit = best = distance
                                 best_node, best_move = node, names[k]
@@ -284,7 +284,7 @@ def search_within(c: ExactProblem, f: Reachability, q: Nodes, limit: float, cell
                 if not goes_on or x_to > c.path_edge:
                     continue
                 away_x, away_y = x_to - x_phi_to, y_to - y_phi_to
-                distance = max(strayed, np.sqrt(away_x * away_x + away_y * away_y))
+                distance = max(deviated, np.sqrt(away_x * away_x + away_y * away_y))
                 if distance >= limit or not is_hopeful(f, after, where_of(c, f, after, x_to, y_to), x_to, y_to):
                     continue
                 if not _visit(q, x_to, y_to, after, distance, node, names[k], q.size[1], cell):
@@ -304,7 +304,7 @@ def _least_possible(c: ExactProblem, f: Reachability, low: float, high: float, s
     """Return a limit near the greatest within which nothing can be reached; `low` is one, `high` is none."""
     while high - low > share * high + _NEAR_ENOUGH:
         middle = 0.5 * (low + high)
-        if foresee(c, f, middle, _fine(middle), True) == 0:
+        if reach_forwards(c, f, middle, _fine(middle), True) == 0:
             low = middle
         else:
             high = middle
@@ -317,10 +317,10 @@ def _search(
 ) -> tuple[int, float, int]:
     """Bound what a limit lets reach, and search within it; return what `search_least` does, but for the gap."""
     fine = _fine(limit)
-    possible = foresee(c, f, limit, fine, False)
+    possible = reach_forwards(c, f, limit, fine, False)
     if possible == 0:
         return NOTHING, np.inf, 0
-    if possible < 0 or look_back(c, f, limit, fine) < 0:
+    if possible < 0 or reach_backwards(c, f, limit, fine) < 0:
         return CROWDED, np.inf, 0
     state, node, move, best = search_within(c, f, q, limit, cell)
     if state != FOUND:
@@ -359,7 +359,7 @@ def search_least(
     """
     fill_moves(c, f)
     low, high = 0.0, min(_FIRST_LIMIT, upper)
-    while foresee(c, f, high, _fine(high), True) == 0:
+    while reach_forwards(c, f, high, _fine(high), True) == 0:
         low = high
         if high >= upper:
             return NOTHING, np.inf, 0.0, 0

@@ -227,7 +227,7 @@ def _box_of(points: FloatArray, count: int, box: FloatArray) -> None:
 
 
 @kernel
-def foresee(c: ExactProblem, f: Reachability, limit: float, fine: float, only_whether: bool) -> int:
+def reach_forwards(c: ExactProblem, f: Reachability, limit: float, fine: float, only_whether: bool) -> int:
     """Make all histories within a limit, and the sets that go with them.
 
     Args:
@@ -310,8 +310,8 @@ def foresee(c: ExactProblem, f: Reachability, limit: float, fine: float, only_wh
 
 
 @kernel
-def look_back(c: ExactProblem, f: Reachability, limit: float, fine: float) -> int:
-    """Fill in, after `foresee` with the same limit, from where there can be a hit.
+def reach_backwards(c: ExactProblem, f: Reachability, limit: float, fine: float) -> int:
+    """Fill in, after `reach_forwards` with the same limit, from where there can be a hit.
 
     Returns:
         0; −1: no room.

@@ -22,7 +22,7 @@ from skd_sim.world.contact import first_contact, rectangle_distance, runs_into, 
 from skd_evaluator.margin.search.surrogate import SITUATION, nearest_sample
 
 NEAREST, CAUTIOUS, VARIED, BOLD = range(4)
-"""How the surrogate is asked: by the nearest sample; by none beyond a radius, where the car goes on unbraked; by the
+"""How the surrogate is queried: by the nearest sample; by none beyond a radius, where the car goes on unbraked; by the
 weights that tell most; by random weights and another radius, beyond which a given acceleration counts."""
 COLUMNS: Final = 9
 """Numbers of a moment: x, y, velocity to the East and North, heading, path coordinate, speed and last acceleration of
@@ -75,13 +75,13 @@ class PlanProblem(NamedTuple):
 
 
 class SurrogateQuery(NamedTuple):
-    """How the surrogate is asked.
+    """How the surrogate is queried.
 
     Attributes:
         samples: samples of the controller in the order of their gaps, at least `count` × 7.
         known: how many of the samples count.
         weights: weights of a situation's 6 numbers.
-        mode: how the surrogate is asked: one of NEAREST, CAUTIOUS, VARIED and BOLD.
+        mode: how the surrogate is queried: one of NEAREST, CAUTIOUS, VARIED and BOLD.
         radius: distance, among samples, beyond which nothing is known.
         unknown: acceleration where nothing is known, m/s².
         hardest: strongest braking of which the car is believed capable, m/s², below 0.
@@ -141,7 +141,7 @@ _SPURT = 2.0  # m/s, by which a car may get faster in a tick
 
 
 @kernel
-def _foreseen(view: SurrogateQuery, situation: FloatArray) -> float:
+def _predicted(view: SurrogateQuery, situation: FloatArray) -> float:
     row, away = nearest_sample(view.samples, view.known, view.weights, situation)
     if row < 0:
         return 0.0
@@ -323,7 +323,7 @@ def plan(
 
     Args:
         problem: what is known of the trial beforehand.
-        view: how the surrogate of the controller is asked.
+        view: how the surrogate of the controller is queried.
         moments: the moments that were simulated, n × COLUMNS.
         ticks: the tick of each moment.
         tried: bits of the actions that were tried from each moment.
@@ -394,7 +394,7 @@ def plan(
         speed_noise, noise = problem.noise[tick, 0], problem.noise[tick, 1]
         path[0, 0], path[0, 1], path[0, 2], path[0, 3] = x_car, y_car, heading, speed
         acceleration = 0.0
-        asked = False
+        known = False
         near = _reach(problem, situation[0], right) <= problem.time_step * (1.2 * speed + problem.fastest + _SPURT)
         here, there = min(tick, held), min(tick + 1, held)
         for action in range(problem.velocities.shape[1]):
@@ -406,13 +406,13 @@ def plan(
             deviation = math.hypot(ex, ey)
             if not near and max(now[_DEVIATION], deviation) >= least:
                 continue  # whatever the car does
-            if problem.within_ticks or not asked:
+            if problem.within_ticks or not known:
                 east, north = (vx, vy) if problem.within_ticks else (now[_VX], now[_VY])
                 if straight:
                     situation[4], situation[5] = east, north
                 else:
                     situation[4], situation[5] = sin * east - cos * north, cos * east + sin * north
-                acceleration, asked = _foreseen(view, situation), True
+                acceleration, known = _predicted(view, situation), True
                 after = max(0.0, speed + speed_noise * speed + problem.time_step * acceleration * (1.0 + noise))
                 along_after = along + 0.5 * problem.time_step * (speed + after)
                 if straight:

@@ -131,7 +131,7 @@ class OtherHit(NamedTuple):
     positions: FloatArray
 
 
-def margins_beside(
+def margins_with_other_hits(
     episodes: Sequence[Episode], known: Mapping[int, EpisodeLog], hits: Sequence[OtherHit], rounds: Rounds
 ) -> list[float]:
     """Return the margins of trials, m, in which hits of others are tried too; nothing further is searched.

@@ -79,21 +79,21 @@ def nearest_sample(
 @kernel
 def left_out_error(samples: FloatArray, count: int, weights: FloatArray, most: int) -> float:
     """Return how far off a sample's acceleration the nearest other one's is, on average over `most` samples, m/s²."""
-    total, asked = 0.0, 0
+    total, compared = 0.0, 0
     stride = max(1, count // most)
     for row in range(0, count, stride):
         other, _ = nearest_sample(samples, count, weights, samples[row], row)
         if other >= 0:
             total += abs(samples[other, SITUATION] - samples[row, SITUATION])
-            asked += 1
-    return total / max(1, asked)
+            compared += 1
+    return total / max(1, compared)
 
 
 @kernel
 def _learn(
     samples: FloatArray, count: int, weights: FloatArray, situations: FloatArray, seen: FloatArray, surprise: float
 ) -> int:
-    """Insert what was not foreseen into samples, in the order of their gaps; return how many there are then."""
+    """Insert what was not predicted into samples, in the order of their gaps; return how many there are then."""
     for i in range(seen.shape[0]):
         row, away = nearest_sample(samples, count, weights, situations[i])
         if row >= 0 and away < 0.5 * RADIUS and abs(samples[row, SITUATION] - seen[i]) <= surprise:
@@ -128,7 +128,7 @@ class Surrogate:
         return self.rows[: self.count]
 
     def learn(self, situations: FloatArray, accelerations: FloatArray) -> None:
-        """Keep what was seen unless it was foreseen."""
+        """Keep what was seen unless it was predicted."""
         self.count = _learn(self.rows, self.count, self._weights, situations, accelerations, self._surprise)
 
     def telling_weights(self, rng: np.random.Generator) -> FloatArray:

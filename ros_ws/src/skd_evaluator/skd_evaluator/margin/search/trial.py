@@ -155,8 +155,8 @@ class ActionSpace:
         for tick, target in enumerate(positions[1 : ticks + 1]):
             step = self.scenario.time_step * self._velocities(tick, walked)
             if tick == len(positions) - 2:  # cut at the contact: its direction counts
-                wanted = target - walked[-1]
-                along = step @ wanted / max(float(np.hypot(*wanted)), ENOUGH)
+                own = target - walked[-1]
+                along = step @ own / max(float(np.hypot(*own)), ENOUGH)
                 found[tick] = int(np.argmax(along - np.abs(np.hypot(*step.T) - along)))
             else:
                 found[tick] = int(np.argmin(np.hypot(*(walked[-1] + step - target).T)))

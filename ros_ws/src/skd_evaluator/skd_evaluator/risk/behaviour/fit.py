@@ -127,7 +127,7 @@ class TrackProblem:
         steps = np.diff(self.ways, axis=1)
         speeds = np.hypot(steps[..., 0], steps[..., 1]) / time_step
         self.speed = float(np.nanmedian(speeds))
-        self.wanted = summary(self.ways, time_step)
+        self.observed = summary(self.ways, time_step)
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
         dimension = normals_of(max(self.lengths) - 1)
         self._normals = rng.standard_normal((_COPIES * len(tracks), dimension))
@@ -186,14 +186,14 @@ def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int =
     for turn in range(_STEPS):
         if turn in (2, 5):
             weights = np.diag(1.0 / np.diag(problem.chance_at(free)))
-        off = problem.wanted - problem.summary_at(free)
+        off = problem.observed - problem.summary_at(free)
         jacobian = problem.jacobian_at(free)
         best, moved = float(off @ weights @ off), 0.0
         information = jacobian.T @ weights @ jacobian
         while damping < 1e6:
             step = np.linalg.solve(information + ridge(information, damping), jacobian.T @ weights @ off)
             trial = _free(_values(free + np.clip(step, -_FURTHEST, _FURTHEST)))
-            left = problem.wanted - problem.summary_at(trial)
+            left = problem.observed - problem.summary_at(trial)
             if float(left @ weights @ left) < best:
                 moved = float(np.max(np.abs(trial - free) * np.sqrt(np.diag(information))))
                 free, damping = trial, max(damping / 5.0, 1e-3)
@@ -357,7 +357,7 @@ _OUTWARD: Final = 6
 class Problem(Protocol):
     """What is fitted to tracks."""
 
-    wanted: FloatArray
+    observed: FloatArray
     """The summary of the tracks."""
 
     def allowed(self, free: FloatArray) -> FloatArray:
@@ -440,7 +440,7 @@ def _score(
     groups = problem.groups_at(here)
     centre, weighed = groups.mean(axis=0), jacobian.T * _weights(groups)
     gain = (np.linalg.pinv(weighed @ jacobian) @ weighed)[index]
-    return float(gain @ (problem.wanted - centre)), (groups - centre) @ gain
+    return float(gain @ (problem.observed - centre)), (groups - centre) @ gain
 
 
 def _others_fitted(
@@ -450,7 +450,7 @@ def _others_fitted(
     here = free.copy()
     here[index] = value
     here = problem.allowed(here)
-    jacobian, off = problem.jacobian_at(here), problem.wanted - problem.summary_at(here)
+    jacobian, off = problem.jacobian_at(here), problem.observed - problem.summary_at(here)
     others = np.delete(jacobian, index, axis=1)
     information = (others.T * weights) @ others
     step = np.linalg.solve(information + ridge(information, _RIDGE), (others.T * weights) @ off)
@@ -459,7 +459,7 @@ def _others_fitted(
         trial = here.copy()
         trial[np.arange(here.size) != index] += np.clip(share * step, -_FURTHEST, _FURTHEST)
         trial = problem.allowed(trial)
-        left = problem.wanted - problem.summary_at(trial)
+        left = problem.observed - problem.summary_at(trial)
         if float(left @ (weights * left)) < best:
             return trial, jacobian
     return here, jacobian
