@@ -1,8 +1,10 @@
-"""Export: which episodes and φ of a result are written, in which format, and what each format does not keep."""
+"""`skd export`: which episodes and φ of a result are written, in which format, and what each format does not keep."""
 
 from __future__ import annotations
 
+import argparse
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +16,26 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.world.episode import Mode, Outcome
 
+from skd_evaluator.assessment.files.assessment_json import understood
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
+from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.exchange.osi import osi_messages, osi_name, osi_writer, write_osi
-from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpisode, actors_of, start_of
-from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
+from skd_evaluator.extensions.exchange.scene import (
+    ADVERSARY,
+    EGO,
+    EXPORT,
+    ROAD_FILE,
+    ExportedEpisode,
+    actors_of,
+    start_of,
+)
+from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario, write_road
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
-from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.html.subjects import Subject, read_subjects
+from skd_evaluator.report.terminal import counted
+from skd_evaluator.version import version
 
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
 
@@ -104,6 +120,54 @@ FORMATS = {
     ),
     "csv": Format(_write_csv, _ending("csv"), (_NEVER, "Road, shapes and kinds are not there.")),
 }
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    kind = FORMATS[arguments.format]
+    kind.check()
+    subjects = read_subjects([arguments.path])
+    if len(subjects) > 1:
+        raise UsageError(
+            f"{arguments.path}: holds {len(subjects)} assessments; give the folder of one, as {subjects[0].folder}"
+        )
+    with understood(arguments.path):
+        return _export(subjects[0], kind, arguments)
+
+
+def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> int:
+    numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
+    out = result_folder(arguments)
+    going = exports_of(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
+    content: dict[str, Any] = {
+        "export": 1,
+        "skd": version(),
+        "result": str(arguments.path),
+        "format": arguments.format,
+        "road": ROAD_FILE if kind.with_road else None,
+        "losses": list(kind.losses),
+        "files": [{"file": kind.name(one.recorded), **one.entry} for one in going],
+    }
+
+    def write(folder: Path) -> None:
+        if kind.with_road:
+            write_road(folder / ROAD_FILE, [one.recorded for one in going])
+        for one in going:
+            kind.write(folder / kind.name(one.recorded), one.recorded)
+        write_json(folder / EXPORT, content)
+
+    problem = out.save(write)
+    if arguments.json:
+        print_json(content)
+    elif not problem:
+        episodes = sum("episode_id" in one.entry for one in going)
+        said = f"{len(going) - episodes} φ and {counted(episodes, 'episode')} as {arguments.format} in {out.path}"
+        print(f"{said}; {EXPORT} says which file is which")
+    for line in subject.warnings:
+        print(f"skd export: warning: {line}", file=sys.stderr)
+    if problem:
+        print(f"skd export: {problem}", file=sys.stderr)
+    return 1 if problem else 0
 
 
 _UNKNOWN_DATE = "1970-01-01T00:00:00Z"

@@ -46,7 +46,7 @@ def add_export(commands: Any) -> None:
         help="leave out how the car drove, so that another may drive in its place",
     )
     add_output_arguments(export)
-    export.set_defaults(module="skd_evaluator.extensions.exchange.export_command")
+    export.set_defaults(module="skd_evaluator.extensions.exchange.exports")
 
 
 def add_import(commands: Any) -> None:
