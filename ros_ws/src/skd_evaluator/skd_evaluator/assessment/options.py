@@ -73,7 +73,7 @@ class CampaignOptions(EpisodeOptions):
         low=0,
         high=2**63 - 1,
         metavar="N",
-        commands=("assess", "sweep", "episode", "probe", "ncap", "reference", "drive"),
+        commands=("assess", "sweep", "episode", "probe", "ncap", "drive"),
     )
 
 
@@ -88,7 +88,7 @@ class AssessmentOptions:
         low=0,
         high=1_000_000,
         metavar="N",
-        commands=("assess", "sweep", "replay", "ncap", "reference"),
+        commands=("assess", "sweep", "replay", "ncap"),
     )
     behaviour: str = option(
         WALKERS,

@@ -29,7 +29,6 @@ from skd_evaluator.cli.arguments import (
     add_output_arguments,
     add_parameters,
     add_paths,
-    add_runner_arguments,
     add_workers_argument,
     parameters_of,
     positive_number,
@@ -322,21 +321,12 @@ def _add_scenarios(commands: Any) -> None:
         help="list scenarios, show one, check a file of your own",
         description="list: the scenarios that have a name. show: what happens in some of them, with a picture each. "
         "check: the same of files of your own, after the checks that an assessment makes. campaign: the file of a "
-        "campaign in which scenarios are run at several test speeds. reference: the margins of basic cars in "
-        "scenarios, or in those of assessments, whose cars' equivalent multiplier then follows.",
+        "campaign in which scenarios are run at several test speeds.",
     )
-    scenarios.add_argument("action", choices=("list", "show", "check", "campaign", "reference"), help="what to do")
-    text = "names or files of scenarios; with reference also folders of assessments"
-    scenarios.add_argument("names", nargs="*", metavar="NAME", help=text)
+    scenarios.add_argument("action", choices=("list", "show", "check", "campaign"), help="what to do")
+    scenarios.add_argument("names", nargs="*", metavar="NAME", help="names or files of scenarios")
     text = "test speeds of the car, km/h, as 10:60:10; with campaign"
     scenarios.add_argument("--speeds", type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP", help=text)
-    group = scenarios.add_argument_group("reference")
-    text = "C of the basic cars (default: 0.5 0.75 1 1.25 1.5)"
-    group.add_argument("--multipliers", type=real_number(0.0, 100.0), nargs="+", metavar="C", help=text)
-    add_count(group, "--trials", 1, 10_000, "trials on each φ of a scenario", default=10)
-    add_options(group, "reference", table=AssessmentOptions)
-    add_options(group, "reference")
-    add_runner_arguments(group)
     text = (
         "folder for the pictures (default: skd_results/scenarios-<time>; with list none are made), or with campaign "
         "the file to write (default: standard output)"

@@ -33,8 +33,6 @@ _KMH = 3.6
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    if arguments.multipliers and arguments.action != "reference":
-        raise UsageError("--multipliers goes with skd scenarios reference")
     if arguments.action == "list":
         if arguments.names:
             raise UsageError("skd scenarios list takes no names; skd scenarios show does")
@@ -44,10 +42,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"skd scenarios {arguments.action} needs {what}")
     if arguments.action == "campaign":
         return _campaign(arguments)
-    if arguments.action == "reference":
-        from skd_evaluator.cli import reference  # only now: margins are slow to import
-
-        return reference.run(arguments)
     if arguments.speeds:
         raise UsageError("--speeds goes with skd scenarios campaign")
     return _show(arguments, [load_scenario(name) for name in arguments.names])

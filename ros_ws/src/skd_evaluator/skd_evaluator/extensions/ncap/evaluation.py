@@ -23,10 +23,10 @@ from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin, with_planned_hits
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import StaticTest, static_episodes
-from skd_evaluator.cli.reference import MULTIPLIERS, ReferenceTrials, reference_sweep
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, ProtocolMatrix, colour_of, matrix_of
 from skd_evaluator.extensions.ncap.result import EXTENDED, STANDARD, Grid, NcapCell, rounded_kmh
+from skd_evaluator.margin.basic_margins import yardstick
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.metrics.margins import Margins
 
@@ -316,11 +316,20 @@ def _with_margin(cell: NcapCell, plan: Plan, request: NcapRequest, runner: Worke
     return replace(searched, margin_is=searched.bound)
 
 
+_MULTIPLIERS = (0.5, 0.75, 1.0, 1.25, 1.5)
+
+
+def _basic_margins(plan: Plan, phi: Trajectory, request: NcapRequest, runner: Workers) -> Margins:
+    """Return the margins of a basic car along one φ, found by the same search as the car's."""
+    episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
+    hits, search = minimal_deviations(episodes, {}, runner, lambda *_told: None, request.margin_limit)
+    return Margins((tuple(hits),), plan.scenario.eta_max, search)
+
+
 def _with_equivalent(
     cell: NcapCell, plan: Plan, margins: Margins, phi: Trajectory, request: NcapRequest, runner: Workers
 ) -> NcapCell:
     """Return a cell with the C of the basic car that has its margin, in the same trials and by the same search."""
-    where = ReferenceTrials("", plan, [phi])
-    swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, request.margin_limit)
+    swept = {one: _basic_margins(yardstick(plan, one), phi, request, runner) for one in _MULTIPLIERS}
     found = equivalent_multiplier(margins.per_phi, {one: basic.per_phi for one, basic in swept.items()})
     return replace(cell, equivalent=found.value if math.isfinite(found.value) else None, equivalent_text=found.text)
