@@ -142,13 +142,15 @@ def _at_once(scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
     return vx, vy
 
 
-_ON_FOOT: Final = {
-    "carla": "walker.pedestrian.0001",
-    "openscenario": "pedestrian",
-    "osi": "TYPE_PEDESTRIAN",
-    "commonroad": "pedestrian",
-    "levelxdata": "pedestrian",
-}
+_FORMATS: Final = ("carla", "metadrive", "openscenario", "osi", "commonroad", "levelxdata")
+
+
+def _names(*names: str) -> dict[str, str]:
+    """Return what each of `_FORMATS` calls a kind; empty where it has no word for it."""
+    return {one: name for one, name in zip(_FORMATS, names, strict=True) if name}
+
+
+_ON_FOOT: Final = _names("walker.pedestrian.0001", "", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian")
 PEDESTRIAN: Final = RoadUserModel(
     "pedestrian",
     _PEDESTRIAN_KERNELS,
@@ -531,61 +533,35 @@ CYCLIST: Final = wheeled(
     RidingLimits(acceleration=1.0, deceleration=3.0, lateral=3.0, turn=_TURN, radius=0.0),  # unhurried; a lean of 17°
     fastest=20.0,
     height=1.8,
-    names={
-        "carla": "vehicle.diamondback.century",
-        "metadrive": "CYCLIST",
-        "openscenario": "bicycle",
-        "osi": "TYPE_BICYCLE",
-        "commonroad": "bicycle",
-        "levelxdata": "bicycle",
-    },
+    names=_names("vehicle.diamondback.century", "CYCLIST", "bicycle", "TYPE_BICYCLE", "bicycle", "bicycle"),
 )
 E_SCOOTER: Final = wheeled(
     "e_scooter",
     RidingLimits(acceleration=1.2, deceleration=3.5, lateral=2.5, turn=_TURN, radius=0.0),  # a lean of 14°
     fastest=15.0,
     height=1.9,
-    names={"openscenario": "bicycle", "osi": "TYPE_STANDUP_SCOOTER", "commonroad": "bicycle"},
+    names=_names("", "", "bicycle", "TYPE_STANDUP_SCOOTER", "bicycle", ""),
 )
 MOTORCYCLE: Final = wheeled(
     "motorcycle",
     RidingLimits(acceleration=4.0, deceleration=5.5, lateral=4.0, turn=_TURN, radius=2.5),  # a lean of 22°
     fastest=85.0,
     height=1.5,
-    names={
-        "carla": "vehicle.kawasaki.ninja",
-        "metadrive": "CYCLIST",
-        "openscenario": "motorbike",
-        "osi": "TYPE_MOTORBIKE",
-        "commonroad": "motorcycle",
-        "levelxdata": "motorcycle",
-    },
+    names=_names("vehicle.kawasaki.ninja", "CYCLIST", "motorbike", "TYPE_MOTORBIKE", "motorcycle", "motorcycle"),
 )
 CAR: Final = wheeled(
     "car",
     RidingLimits(acceleration=2.5, deceleration=6.0, lateral=4.0, turn=_TURN, radius=5.5),
     fastest=70.0,
     height=1.5,
-    names={
-        "carla": "vehicle.tesla.model3",
-        "metadrive": "VEHICLE",
-        "openscenario": "car",
-        "osi": "TYPE_MEDIUM_CAR",
-        "commonroad": "car",
-        "levelxdata": "car",
-    },
+    names=_names("vehicle.tesla.model3", "VEHICLE", "car", "TYPE_MEDIUM_CAR", "car", "car"),
 )
 VAN: Final = wheeled(
     "van",
     RidingLimits(acceleration=2.0, deceleration=5.0, lateral=3.5, turn=_TURN, radius=6.5),
     fastest=50.0,
     height=2.4,
-    names={
-        "carla": "vehicle.mercedes.sprinter",
-        "openscenario": "van",
-        "osi": "TYPE_DELIVERY_VAN",
-        "levelxdata": "van",
-    },
+    names=_names("vehicle.mercedes.sprinter", "", "van", "TYPE_DELIVERY_VAN", "", "van"),
 )
 
 
