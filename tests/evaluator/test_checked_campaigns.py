@@ -64,14 +64,3 @@ def test_cells_that_are_not_what_was_written_are_refused(campaign, skd_here):
     one_line(skd_here(*RESUME), 2, "is the result of another cell")
     shutil.rmtree(cells[0])
     assert skd_here(*RESUME).returncode == 0
-
-
-def test_a_cell_in_another_folder_is_no_cell(campaign, skd_here):
-    outside = campaign.parent / "mine"
-    shutil.copytree(next(campaign.glob("*/assessment.json")).parent, outside)
-    content = json.loads((campaign / "cells.json").read_text())
-    content["cells"][0]["name"] = "../mine"
-    (campaign / "cells.json").write_text(json.dumps(content))
-    words = ("campaign", "cars.yaml", "--out", "out", "--workers", "1", "--overwrite")
-    one_line(skd_here(*words), 2, "is no name of a cell's folder")
-    assert outside.exists()

@@ -140,26 +140,6 @@ def test_a_nominal_collision_rate_counts_phi_alike():
     assert alone_rate(unequal).error == pytest.approx(stats.sem(rates))
 
 
-def test_trials_of_harmless_phi_again_and_again_make_no_safer_car():
-    once = alone_rate(hits_of(*[(1, 1)] * 4, *[(0, 1)] * 8))
-    many = alone_rate(hits_of(*[(1, 1)] * 4, *[(0, 25)] * 8))
-    assert many.value == once.value == 4 / 12
-    assert many.interval == pytest.approx(once.interval)
-    assert alone_rate(hits_of(*[(0, 25)] * 12)).interval == pytest.approx(alone_rate(hits_of(*[(0, 1)] * 12)).interval)
-    (fused_hits,) = fuse(
-        [
-            PhysicalTrial(f"phi{index}", {"hit": float(index < 4)})
-            for index in range(12)
-            for _ in range(1 if index < 4 else 25)
-        ],
-        simulated_of(np.resize([0.0, 1.0], 40), "hit"),
-    ).figures
-    assert fused_hits.stands.value == pytest.approx(4 / 12)
-    one_phi = [PhysicalTrial(f"phi{index}", {"hit": float(not index)}) for index in range(8) for _ in range(9 - index)]
-    (often,) = fuse(one_phi, simulated_of(np.resize([1.0, 0.0], 40), "hit")).figures
-    assert often.why_alone == "there are fewer than 3 φ with a hit, or without one"
-
-
 @pytest.mark.parametrize("alike", [True, False])
 def test_intervals_of_rates_hold_with_trials_unequally_often(alike: bool):
     """25 trials on some φ and one on others: where φ are alike, and where each is a yes or a no."""

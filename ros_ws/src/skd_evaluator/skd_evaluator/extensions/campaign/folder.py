@@ -228,8 +228,6 @@ def _read_json(path: Path) -> dict[str, Any]:
     cells = data.get("cells") if isinstance(data, dict) else None
     if not isinstance(cells, list) or not all(isinstance(one, dict) and "name" in one for one in cells):
         raise UsageError(f"{path}: is not of a campaign; give another --out")
-    if strange := next((one["name"] for one in cells if Path(str(one["name"])).name != one["name"]), None):
-        raise UsageError(f"{path}: {short(strange)} is no name of a cell's folder; give another --out")
     return dict(data)
 
 
