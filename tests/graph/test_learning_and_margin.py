@@ -15,7 +15,7 @@ from common import PATIENCE
 from graph_support import assert_same_log, skd, skd_here, whole_graph
 from skd_adversary.car_models.car_model_file import car_model_text
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.plan import Plan, walks_a_way
+from skd_evaluator.assessment.plan import Plan, follows_other_trajectory
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
@@ -64,7 +64,7 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
 
     recorded = [one.log.episode for one in read_episodes([tmp_path / "graph"])]
     assert recorded
-    assert not any(walks_a_way(episode) for episode in recorded)
+    assert not any(follows_other_trajectory(episode) for episode in recorded)
     modes = [episode.mode for episode in recorded]
     assert modes.count(Mode.REPLAY) == RUNS
     assert modes.count(Mode.KAMIKAZE) == 4 * len(DEFAULT_OBJECTIVES)

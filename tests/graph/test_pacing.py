@@ -15,7 +15,7 @@ import numpy as np
 from common import PATIENCE
 from graph_support import HERE, pids_with, whole_graph
 from skd_evaluator.assessment.episode_figures import command_age
-from skd_evaluator.assessment.from_options import with_asked_period
+from skd_evaluator.assessment.from_options import with_requested_period
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
@@ -55,7 +55,7 @@ def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: Episode) -> N
     node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "clock"])
     options = GraphOptions(controller_command=node, quiet_time=10.0, startup_timeout=PATIENCE)
     external = dataclasses.replace(
-        replay, controller="external", knowledge="nothing", scenario=with_asked_period(replay.scenario, 0.1)
+        replay, controller="external", knowledge="nothing", scenario=with_requested_period(replay.scenario, 0.1)
     )
     wanted = [dataclasses.replace(external, episode_id=external.episode_id + number) for number in range(3)]
     with whole_graph(tmp_path, options) as (evaluator, _):

@@ -43,7 +43,7 @@ def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None 
     return changed_scenario(source, changes) if changes else load_scenario(source)
 
 
-def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
+def with_requested_period(scenario: Scenario, period: float | None) -> Scenario:
     """Return the scenario with the control period (s) that is asked for, if one is.
 
     Raises:
@@ -91,7 +91,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
     else:
-        scenario = with_asked_period(scenario, values["control_period"])
+        scenario = with_requested_period(scenario, values["control_period"])
     if graph:
         GraphOptions(**values_of(GraphOptions, values)).check(car)
     return scenario

@@ -83,7 +83,7 @@ def model_digest(number: int, car_model: str) -> str:
     return hashlib.sha256(car_model.encode()).hexdigest()[:8] if number >> 48 == Stage.LEARNING else ""
 
 
-def walks_a_way(episode: Episode) -> bool:
+def follows_other_trajectory(episode: Episode) -> bool:
     """Tell whether somebody follows a way that is no φ: one of the margin under a trial's draws, or of the risk."""
     stage = split_episode_id(episode.episode_id)[0]
     return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK)

@@ -36,7 +36,7 @@ from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 
 from skd_evaluator.assessment.files.episodes_npz import FARTHEST, within_reach
-from skd_evaluator.assessment.plan import STAGES, Stage, split_episode_id, walks_a_way
+from skd_evaluator.assessment.plan import STAGES, Stage, follows_other_trajectory, split_episode_id
 
 ROUNDING = 1e-9
 """m, m/s, s: what another processor's rounding may change."""
@@ -320,7 +320,7 @@ def _specification(episode: Episode) -> str:
     if episode.car_model:
         fitted_car(episode.car_model)
     stage = split_episode_id(episode.episode_id)[0]
-    if stage not in (STAGES[episode.mode], _LEARNT_FROM.get(episode.mode)) and not walks_a_way(episode):
+    if stage not in (STAGES[episode.mode], _LEARNT_FROM.get(episode.mode)) and not follows_other_trajectory(episode):
         return f"has the mode {episode.mode.name}, which its number does not belong to"
     phi, scenario = episode.safe_trajectory, episode.scenario
     if phi is not None and len(phi) > 1:

@@ -15,7 +15,7 @@ from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_or
 from skd_evaluator.assessment.episode_figures import standing
 from skd_evaluator.assessment.objective_result import KamikazeSet, kamikaze_set
 from skd_evaluator.assessment.options import RECORDED
-from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, Stage, split_episode_id, walks_a_way
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, Stage, follows_other_trajectory, split_episode_id
 from skd_evaluator.bags.checks import (
     Damage,
     aborted_episodes,
@@ -52,7 +52,7 @@ def _select(episodes: Sequence[BagEpisode], campaign: str | None) -> list[BagEpi
 def _counts(spec: Episode) -> bool:
     """Whether an episode belongs to an assessment: those that made φ, probed a car or tried a way do not."""
     stage = split_episode_id(spec.episode_id)[0]
-    return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not walks_a_way(spec)
+    return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not follows_other_trajectory(spec)
 
 
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:

@@ -29,7 +29,7 @@ from skd_evaluator.assessment.from_options import (
     plan_of,
     refuse_to_replace,
     scenario_for,
-    with_asked_period,
+    with_requested_period,
 )
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, managed_nodes
 from skd_evaluator.assessment.plan import Plan
@@ -96,7 +96,7 @@ class EvaluatorProcess(Evaluator):
         if not car.is_external:
             clocked = check_controller(car, scenario)
         else:
-            clocked = with_asked_period(scenario, values["control_period"] or None)
+            clocked = with_requested_period(scenario, values["control_period"] or None)
         self._plan = replace(self._plan, scenario=clocked)
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
         refuse_to_replace(folder, inputs_of(values))

@@ -34,7 +34,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from skd_evaluator.assessment.plan import model_digest, walks_a_way
+from skd_evaluator.assessment.plan import follows_other_trajectory, model_digest
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey
 from skd_evaluator.bags.write import RecordedMessage, write_bag
 from skd_evaluator.ros.visualization import fixed_markers, moving_markers
@@ -104,7 +104,7 @@ class BagRecorder:
 
         Nor is one that is run again, to see whether it goes as before.
         """
-        return not walks_a_way(episode) and bag_name(episode) not in self._written
+        return not follows_other_trajectory(episode) and bag_name(episode) not in self._written
 
     def begin(self, key: EpisodeKey, latest_end: int) -> None:
         """Forget the last episode.
