@@ -9,7 +9,7 @@ other: the cells of an anti-diagonal do not depend on one another, so the proces
 row order forbids. Three diagonals are kept, so memory is linear. Several curves q against one p go through the table
 side by side ("lanes", interleaved point by point), which keeps short curves efficient too.
 
-Only cells that can matter are filled. A coupling found in linear time gives a limit from above, the caller's bound
+Only cells that can matter are filled. The coupling that goes along both curves evenly gives a limit from above, the caller's bound
 another; values never fall along a coupling, so none that leads to an answer within the limit has a cell beyond it. The
 range of rows taken on to the next diagonal is narrowed from both ends while its predecessors are beyond the limit, and
 a range that becomes empty ends the sweep. (The idea of a limit from a quick coupling is in Devogele et al., "Optimized
@@ -41,7 +41,6 @@ from skd_evaluator.metrics.measures import Measure, Pair
 
 _CHUNK = 4  # values; diagonals are widened to multiples of it, as the processor takes that many at once
 _NARROW_EVERY = 4  # diagonals; less often costs cells, more often costs looks at their ends
-_GREEDY_FROM = 100  # points; below, a greedy coupling costs more than it spares
 _SLACK = 1e-15, 1e-307  # relative and absolute, m²: more than what rounding can do to the square of a bound
 NOT_FINITE = -1.0  # an answer for bad input; no distance is negative
 
@@ -92,33 +91,6 @@ def _even_coupling(p: FloatArray, q: FloatArray) -> float:
         if part >= steps:
             part -= steps
             j = min(j + 1, rise)
-    return longest
-
-
-@kernel
-def _greedy_coupling(p: FloatArray, q: FloatArray) -> float:
-    """Return the squared longest link of the coupling that always takes the shortest next link."""
-    i = 0
-    j = 0
-    longest = _squared_link(p, 0, q, 0)
-    while i + 1 < p.shape[0] or j + 1 < q.shape[0]:
-        best = np.inf
-        onward = 0
-        if i + 1 < p.shape[0] and j + 1 < q.shape[0]:
-            best = _squared_link(p, i + 1, q, j + 1)
-        if i + 1 < p.shape[0]:
-            link = _squared_link(p, i + 1, q, j)
-            if link < best or j + 1 == q.shape[0]:
-                best = link
-                onward = 1
-        if j + 1 < q.shape[0]:
-            link = _squared_link(p, i, q, j + 1)
-            if link < best or i + 1 == p.shape[0]:
-                best = link
-                onward = 2
-        i += onward != 2
-        j += onward != 1
-        longest = best if best > longest else longest
     return longest
 
 
@@ -378,8 +350,6 @@ def measure(
         if least > squared_bound:
             continue
         limit = _even_coupling(p, q)
-        if limit > least and n >= _GREEDY_FROM and m >= _GREEDY_FROM:
-            limit = min(limit, _greedy_coupling(p, q))
         if limit > least:
             open_curves[left] = k
             limits[left] = min(limit, squared_bound)

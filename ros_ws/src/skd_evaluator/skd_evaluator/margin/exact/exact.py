@@ -54,7 +54,7 @@ def exact_margin(episode: Episode, upper_bound: float | None = None) -> Hit | No
 
     Args:
         episode: kamikaze mode, basic controller, basic car, pedestrian; its objective does not matter.
-        upper_bound: only moves of at most this deviation (m) are looked for; the scenario's `eta_max` by default.
+        upper_bound: only hits of at most this deviation (m) are looked for; the scenario's `eta_max` by default.
 
     Returns:
         The hit; None where there is none within the bound and the horizon, or, where there was no room for all, none
