@@ -9,11 +9,11 @@ other: the cells of an anti-diagonal do not depend on one another, so the proces
 row order forbids. Three diagonals are kept, so memory is linear. Several curves q against one p go through the table
 side by side ("lanes", interleaved point by point), which keeps short curves efficient too.
 
-Only cells that can matter are filled. The coupling that goes along both curves evenly gives a limit from above, the caller's bound
-another; values never fall along a coupling, so none that leads to an answer within the limit has a cell beyond it. The
-range of rows taken on to the next diagonal is narrowed from both ends while its predecessors are beyond the limit, and
-a range that becomes empty ends the sweep. (The idea of a limit from a quick coupling is in Devogele et al., "Optimized
-discrete Fréchet distance between trajectories", BigSpatial 2017.)
+Only cells that can matter are filled. The coupling that goes along both curves evenly gives a limit from above, the
+caller's bound another; values never fall along a coupling, so none that leads to an answer within the limit has a cell
+beyond it. The range of rows taken on to the next diagonal is narrowed from both ends while its predecessors are beyond
+the limit, and a range that becomes empty ends the sweep. (The idea of a limit from a quick coupling is in Devogele et
+al., "Optimized discrete Fréchet distance between trajectories", BigSpatial 2017.)
 
 Every cell within the limit sees the same correctly rounded operations whatever the number of lanes, the bound and the
 range. So the bits of a distance do not depend on how it is computed: alone or in a batch, with or without a bound.
