@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessment.from_options import with_asked_period
+from skd_evaluator.assessment.from_options import with_requested_period
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment import installation, is_sourced
 from skd_sim.ros_environment.installation import MessagePackage, ensure_messages
@@ -76,7 +76,7 @@ def test_what_is_wrong_with_a_folder_is_one_line(tmp_path: Path, built: list[str
 
 def test_a_control_period_that_is_asked_for_divides_the_time_step() -> None:
     crossing = load_scenario("crossing")
-    assert with_asked_period(crossing, None) is crossing
-    assert with_asked_period(crossing, 0.1).control_periods == 3
+    assert with_requested_period(crossing, None) is crossing
+    assert with_requested_period(crossing, 0.1).control_periods == 3
     with pytest.raises(UsageError, match=r"control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"):
-        with_asked_period(crossing, 0.07)
+        with_requested_period(crossing, 0.07)
