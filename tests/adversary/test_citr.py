@@ -9,13 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from citr_lookalike import LookAlike, Walk
-from skd_adversary.safe_trajectories.citr import Clip, read_citr, read_clips, select, touches_cart
+from skd_adversary.safe_trajectories.citr import Clip, read_clips, select, touches_cart
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.state import Trajectory
 
 SCENARIO = load_scenario("citr_crossing")
+
+
+def read_citr(folder: Path, scenario: Scenario) -> list[Trajectory]:
+    return select(read_clips(folder), scenario).usable
+
+
 ANY_ENTRY = replace(SCENARIO, car=replace(SCENARIO.car, meet_safe_trajectory=False))
 
 

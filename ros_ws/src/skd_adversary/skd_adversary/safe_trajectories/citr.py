@@ -273,12 +273,3 @@ def _unusable(clip: Clip, track: PedestrianTrack, points: FloatArray, scenario: 
         # Cars of different C would all brake from the start, and could not be told apart.
         return f"enters the car's path so early that the car would start {gap:.1f} m off, less than {needed:.1f} m"
     return ""
-
-
-def read_citr(path: str | Path, scenario: Scenario) -> list[Trajectory]:
-    """Read the safe trajectories of a CITR folder: `select` on `read_clips`.
-
-    Raises:
-        UsageError: see `read_clips`; not for tracks that are unusable, which are left out.
-    """
-    return select(read_clips(path), scenario).usable
