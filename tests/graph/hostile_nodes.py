@@ -12,7 +12,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 COMMANDS = "/ego/acceleration_command"
-ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}  # to a tick, m/s²
+ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,)}  # to a tick, m/s²
 
 
 class Hostile(Node):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -78,14 +76,9 @@ def graph_session(setting: GraphSetting, watched: Watched | None = None) -> Iter
             yield evaluator
 
 
-@contextmanager
-def graphs_session(setting: GraphSetting) -> Iterator[Evaluator | GraphPool]:
+def graphs_session(setting: GraphSetting) -> AbstractContextManager[Evaluator | GraphPool]:
     """Run as many graphs as the options say and yield what runs episodes in them; otherwise as `graph_session`."""
-    try:
-        with graph_session(setting) if setting.options.graphs == 1 else _several(setting) as runner:
-            yield runner
-    finally:
-        _give_back_memory()
+    return graph_session(setting) if setting.options.graphs == 1 else _several(setting)
 
 
 @contextmanager
@@ -107,16 +100,6 @@ def _telling_of_logs(log_folder: Path, failures: AbortedEpisodes) -> Iterator[No
         counts = f"; aborted were {counts_in_words(failures.reasons)}" if failures.reasons else ""
         error.args = (f"{error}{counts}; log: {log}",)  # whoever catches it goes by its kind
         raise
-
-
-def _give_back_memory() -> None:
-    """Give back what is free in all arenas of the C library (`malloc_trim(3)`); nothing where it is not glibc.
-
-    A graph's threads, Python's and those of its middleware, have arenas of their own, in which what a graph has used is
-    kept when it is over; the next one finds some of it, and asks for more.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None:
