@@ -26,6 +26,8 @@ TOPICS = {
     "/skd/episode": "skd_msgs/msg/Episode",
     "/skd/episode_result": "skd_msgs/msg/EpisodeResult",
     "/skd/markers": "visualization_msgs/msg/MarkerArray",
+    "/skd/clearance": "std_msgs/msg/Float64",
+    "/skd/deviation": "std_msgs/msg/Float64",
     "/robot_description": "std_msgs/msg/String",
     "/tf": "tf2_msgs/msg/TFMessage",
     "/tf_static": "tf2_msgs/msg/TFMessage",

@@ -24,13 +24,14 @@ STATES = ("/ego/odometry", "/adversary/odometry")
 SENSORS = {"/ego/imu", "/ego/points", "/ego/scan"}
 if importlib.util.find_spec("vision_msgs"):
     SENSORS.add("/adversary/detections")
+FIGURES = {"/skd/clearance", "/skd/deviation"}
 FRAMES = {"/robot_description", "/tf", "/tf_static"}
 NODES = {
     "vehicle_simulator": ("skd_sim", {"/clock", *STATES, *SENSORS, *FRAMES, "/skd/episode_result"},
                           {*COMMANDS, "/skd/episode"}),
     "car_controller": ("skd_sim", {COMMANDS[0]}, {*STATES, "/skd/episode"}),
-    "adversary": ("skd_adversary", {COMMANDS[1]}, {STATES[0], "/skd/episode"}),
-    "evaluator": ("skd_evaluator", {"/skd/assessment", "/skd/episode", "/skd/markers"},
+    "adversary": ("skd_adversary", {COMMANDS[1], "/skd/believed_car"}, {STATES[0], "/skd/episode"}),
+    "evaluator": ("skd_evaluator", {"/skd/assessment", "/skd/episode", "/skd/markers", *FIGURES},
                   {"/clock", *STATES, *COMMANDS, *FRAMES, "/skd/episode_result"}),
 }  # fmt: skip
 """Package of each node, what it publishes, and what it listens to."""

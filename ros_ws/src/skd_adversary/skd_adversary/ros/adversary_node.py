@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 
+import numpy as np
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
+from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_car
 from skd_sim.ros.support import (
+    BELIEVED_CAR,
     EGO_ODOMETRY,
     STREAM,
     VELOCITY_COMMAND,
@@ -19,12 +23,12 @@ from skd_sim.ros.support import (
     declare,
     run_node,
 )
-from skd_sim.ros.to_messages import velocity_command
-from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.ros.to_messages import car_to_odometry, velocity_command
+from skd_sim.scenario.road import HEADING_NORTH, road_pose
 from skd_sim.world.episode import Episode
 from skd_sim.world.state import CarState
 
-from skd_adversary.adversary import Adversary, make_adversary
+from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_adversary.warm_up import warm_up_episodes
 
 _SETTINGS = (NodeParameter("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
@@ -48,6 +52,7 @@ class GraphAdversary:
         self._next_tick = 0
         self._answer: tuple[int, tuple[float, float]] | None = None
         self._command = node.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
+        self._believed = node.create_publisher(Odometry, BELIEVED_CAR, STREAM)
 
     def begin(self, episode: Episode) -> None:
         """Take the next episode."""
@@ -71,10 +76,16 @@ class GraphAdversary:
             east, north = self._adversary.act(car)
             self._answer = stamp, (float(east), float(north))
             self._next_tick = tick + 1
+            self._publish_belief(stamp)
         velocity = self._answer[1]
         if self._command.get_subscription_count():
             self._command.publish(velocity_command(velocity, stamp))
         return velocity
+
+    def _publish_belief(self, stamp: int) -> None:
+        """Publish where the adversary believes the car to be, if somebody listens and it believes anything."""
+        if isinstance(self._adversary, PlanningAdversary) and self._believed.get_subscription_count():
+            self._believed.publish(belief_to_odometry(self._adversary.believed_car, self._episode, stamp))
 
 
 class AdversaryNode(GraphNode):
@@ -103,6 +114,18 @@ class AdversaryNode(GraphNode):
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
         if not period:  # the car decides in between, the adversary does not
             self.adversary.answer(tick, stamp, car)
+
+
+def belief_to_odometry(believed: BelievedCar, episode: Episode, stamp: int) -> Odometry:
+    """Return a belief as odometry in `map`: means as pose and speed, variances along the road as covariances."""
+    x, y, heading = road_pose(episode.scenario.road.line, believed.position)
+    message = copy.deepcopy(car_to_odometry(CarState(x, y, heading, believed.speed), stamp))  # which is used again
+    message.header.frame_id, message.child_frame_id = MAP_FRAME, ""
+    ahead = np.zeros(6)
+    ahead[:2] = np.cos(heading), np.sin(heading)
+    message.pose.covariance = (believed.position_deviation**2 * np.outer(ahead, ahead)).ravel()
+    message.twist.covariance = np.diag([believed.speed_deviation**2, 0.0, 0.0, 0.0, 0.0, 0.0]).ravel()
+    return message
 
 
 def warm_up() -> None:

@@ -65,7 +65,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_evaluator.ros.recording import SETTLE, BagRecorder
 from skd_evaluator.ros.stack import Awaited, FirstCommands
-from skd_evaluator.ros.visualization import episode_markers
+from skd_evaluator.ros.visualization import LiveFigures, episode_markers
 
 _FIGURES = ("double", "double[2]", "boolean")
 """Kinds of fields that say something of the car; the others count episodes."""
@@ -225,6 +225,7 @@ class Evaluator(GraphNode):
         self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
+        self._figures = LiveFigures(self)
         self._composed: Composed | None = None
         if composed is not None:
             self._composed = Composed(self, composed, self._on_frame, self._on_result)
@@ -340,6 +341,7 @@ class Evaluator(GraphNode):
                 self._samples.add_car(stamp, car.x, car.y, car.speed)
             except UsageError as error:
                 raise self._contradiction("car", EGO_ODOMETRY, stamp) from error
+            self._figures.take_car(stamp, car)
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
 
@@ -349,6 +351,7 @@ class Evaluator(GraphNode):
                 self._samples.add_adversary(stamp, adversary.x, adversary.y)
             except UsageError as error:
                 raise self._contradiction("adversary", ADVERSARY_ODOMETRY, stamp) from error
+            self._figures.take_adversary(stamp, adversary)
 
     def _contradiction(self, whose: str, topic: str, stamp: int) -> AssessmentError:
         self._require_alone()
@@ -408,6 +411,7 @@ class Evaluator(GraphNode):
         self._next_start = next_start(latest_end)  # also where an error ends this one
         self._episode = episode
         self._samples.clear()
+        self._figures.begin(episode, start)
         self._result = self._refused = None
         if self._recorder is not None:  # it forgets the last episode, whether this one is to be kept or not
             self._recorder.begin(self._key, latest_end)

@@ -1,7 +1,7 @@
 """What was heard during an episode, kept as it came, and the bag that it is written to.
 
 A bag holds all that figures follow from, and what RViz and Foxglove show: transforms and the car's looks as they were
-heard, of whoever sent them, and markers, which are made when the bag is written.
+heard, of whoever sent them, and markers and figures, which are made when the bag is written.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
+    CLEARANCE,
     CLOCK,
+    DEVIATION,
     EGO_ODOMETRY,
     EPISODE,
     EPISODE_RESULT,
@@ -37,7 +39,7 @@ from visualization_msgs.msg import MarkerArray
 from skd_evaluator.assessment.plan import follows_other_trajectory, model_digest
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey
 from skd_evaluator.bags.write import RecordedMessage, write_bag
-from skd_evaluator.ros.visualization import fixed_markers, moving_markers
+from skd_evaluator.ros.visualization import fixed_markers, moving_markers, recorded_figures
 
 SETTLE = 0.05
 """s for which a recording waits, after the result, for what other topics still have on the way."""
@@ -203,13 +205,15 @@ class BagRecorder:
         name = bag_name(log.episode)
         self._written.add(name)
         start = self._key.start
+        figures = {topic: self._node.resolve_topic_name(topic) for topic in (CLEARANCE, DEVIATION)}
         latched = [self._own(EPISODE, specification, start, latched=True)]
         if self._fixed:
             fixed = TFMessage(transforms=list(self._fixed.values()))
             latched.append(self._own(TF_STATIC, fixed, start, latched=True))
         if self._description is not None:
             latched.append(self._own(ROBOT_DESCRIPTION, self._description, start, latched=True))
-        write_bag(self._folder / name, [*latched, *self._markers(log), *messages])
+        shown = [*self._markers(log), *recorded_figures(log, start, figures)]
+        write_bag(self._folder / name, [*latched, *shown, *messages])
 
     def _ending(self, specification: Any, result: EpisodeEnd, end: int) -> EpisodeResult:
         ending = EpisodeResult(campaign=self._key.campaign, start=specification.header.stamp)

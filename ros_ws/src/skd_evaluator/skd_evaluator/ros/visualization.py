@@ -1,23 +1,38 @@
-"""What RViz and Foxglove show: lanes, car, adversary, φ and the path walked, as markers."""
+"""What RViz and Foxglove show: lanes, car, adversary, φ and the path walked as markers, and two figures as numbers.
+
+The figures are how far car and adversary are from each other, and the adversary from φ. They are published where
+somebody listens; a recording has both.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from geometry_msgs.msg import Point
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.state_publisher import CAR_HEIGHT
+from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM
 from skd_sim.ros.to_messages import to_stamp
 from skd_sim.scenario.road import Road, road_pose, road_position
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import period_of, tick_stamp
+from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.run.assembly import Samples
+from skd_evaluator.bags.write import RecordedMessage
+from skd_evaluator.driving.drive import Onlooker
+from skd_evaluator.metrics.deviation import deviation
+from skd_evaluator.metrics.surrogate_measures import clearances
+from skd_evaluator.metrics.surrogate_scenes import course_of, scene_of
 
 _LANES, _CAR, _ADVERSARY, _SAFE, _WALKED, _LANE_LINES, _OBSTACLES = range(7)  # obstacles last: there may be many
 _LANE_ENDS = (-40.0, 40.0)  # m along a lane
@@ -154,3 +169,74 @@ def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArr
     elapsed = 1e-9 * (stamp - min(samples.adversary, default=stamp))
     moving = moving_markers(episode.scenario, place, walked, elapsed, stamp)
     return MarkerArray(markers=[*fixed_markers(episode, stamp), *moving])
+
+
+class LiveFigures:
+    """Publishes the figures of each moment, where somebody has subscribed when the episode begins."""
+
+    def __init__(self, node: Node) -> None:
+        """Make the topics; `node` publishes on them."""
+        self._clearance = node.create_publisher(Float64, CLEARANCE, STREAM)
+        self._deviation = node.create_publisher(Float64, DEVIATION, STREAM)
+        self._onlooker: Onlooker | None = None
+
+    def begin(self, episode: Episode, start: int) -> None:
+        """Begin an episode.
+
+        Args:
+            episode: what is run.
+            start: stamp of its tick 0, ns.
+        """
+        listeners = self._clearance.get_subscription_count() + self._deviation.get_subscription_count()
+        self._onlooker = Onlooker(episode) if listeners else None
+        self._scenario, self._start = episode.scenario, start
+        self._cars: dict[int, CarState] = {}
+        self._adversaries: dict[int, AdversaryState] = {}
+
+    def take_car(self, stamp: int, car: CarState) -> None:
+        """Take a state of the car, stamped in ns."""
+        if self._onlooker is not None:
+            self._cars[stamp] = car
+            self._publish(stamp)
+
+    def take_adversary(self, stamp: int, adversary: AdversaryState) -> None:
+        """Take a state of the adversary, stamped in ns."""
+        if self._onlooker is not None:
+            self._adversaries[stamp] = adversary
+            self._publish(stamp)
+
+    def _publish(self, stamp: int) -> None:
+        """Publish the figures of a moment of which both states are there."""
+        place = period_of(stamp, self._start, self._scenario.time_step, self._scenario.control_periods)
+        if self._onlooker is None or place is None or not (stamp in self._cars and stamp in self._adversaries):
+            return
+        seen = self._onlooker.see(*place, self._cars.pop(stamp), self._adversaries.pop(stamp), math.nan, math.nan)
+        self._clearance.publish(Float64(data=seen.clearance))
+        if not math.isnan(seen.strayed):
+            self._deviation.publish(Float64(data=seen.strayed))
+
+
+def recorded_figures(log: EpisodeLog, start: int, names: Mapping[str, str]) -> list[RecordedMessage]:
+    """Return the figures of an episode at each tick, as far as they are known, for its recording.
+
+    Args:
+        log: what happened.
+        start: stamp of tick 0, ns.
+        names: names of the two topics, resolved.
+    """
+    scenario, psi, safe = log.episode.scenario, log.trajectory.positions, log.episode.safe_trajectory
+    contact = log.outcome == Outcome.COLLISION
+    values: dict[str, list[float]] = {}
+    if len(log.car) > 1 and np.isfinite(log.car).all():
+        ended = (log.impact_time, log.impact_speed) if contact else None
+        course = course_of(scenario, log.adversary, log.car, ended)
+        values[CLEARANCE] = clearances(scene_of(scenario, *course)).tolist()
+    if safe is not None:
+        ticks = [*map(float, range(len(psi)))]
+        ticks[-1] = log.impact_time / scenario.time_step if contact else ticks[-1]
+        values[DEVIATION] = [deviation(safe.positions, psi[: count + 1], tick) for count, tick in enumerate(ticks)]
+    return [
+        RecordedMessage(names[topic], Float64, tick_stamp(start, tick, scenario.time_step), serialize_message(message))
+        for topic, figures in values.items()
+        for tick, message in enumerate(Float64(data=value) for value in figures)
+    ]

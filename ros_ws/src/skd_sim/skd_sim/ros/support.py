@@ -40,6 +40,9 @@ EPISODE = "skd/episode"
 EPISODE_RESULT = "skd/episode_result"
 ASSESSMENT = "skd/assessment"
 MARKERS = "skd/markers"
+CLEARANCE = "skd/clearance"
+DEVIATION = "skd/deviation"
+BELIEVED_CAR = "skd/believed_car"
 
 STREAM = QoSProfile(depth=4000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 """States, commands and results: none may be lost.
