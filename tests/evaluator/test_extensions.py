@@ -47,6 +47,14 @@ def test_each_folder_is_an_extension():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_an_extension_is_imported_by_itself_alone(name: str):
+    own = PACKAGE / "extensions" / name
+    users = [path for path in PACKAGE.rglob("*.py") if f"extensions.{name}" in path.read_text("utf-8")]
+    assert users
+    assert all(own in path.parents for path in users)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_help_does_without_an_extension(name: str, tmp_path: Path):
     package = copied(tmp_path)
     shutil.rmtree(package / "extensions" / name)
