@@ -94,8 +94,8 @@ class Alone:
     def count(self) -> int:
         return 1
 
-    def living(self) -> int:
-        return 1
+    def crowd(self) -> str | None:
+        return None
 
     def names(self) -> list[str]:
         return ["/one"]
