@@ -12,6 +12,7 @@ first.
 from __future__ import annotations
 
 import gc
+import os
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from xdist.scheduler import LoadFileScheduling
 
 gc.disable()  # until all is imported, which stays: to look for garbage in it takes longer than some tests
+
+os.environ.pop("COLUMNS", None)  # of pytest-xdist: commands would fit their tables into 80 columns
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

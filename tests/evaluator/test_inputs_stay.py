@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_support import CONTROLLERS
+from cli_support import CONTROLLERS, CROSSING, one_line
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands import commands_of, make_parser
 from skd_sim.errors import UsageError
@@ -74,12 +74,16 @@ def test_every_input_of_every_command_is_kept(command: str, tmp_path: Path, monk
 
 
 def test_a_campaign_keeps_what_it_reads_and_can_be_resumed(skd_here: Run, here: Path) -> None:
-    """Its own file may lie in its folder, which stays."""
+    """Its own file may lie in its folder, which stays; what its cells read may not."""
     counts = "safe_count: 1, kamikaze_count: 1, collision_runs: 1, simulations: 10, margin_limit: 0, behaviour: none"
     text = f"defaults: {{{counts}}}\ncars: [{{controller: basic, name: mine}}]\n"
     (here / "campaign.yaml").write_text(text)
     words = ("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
     assert skd_here(*words).returncode == 0
+    (here / "out" / "mine" / "own.csv").write_text(CROSSING)
+    (here / "campaign.yaml").write_text(f"{text}scenarios: [{{safe: out/mine/own.csv, name: there}}]\n")
+    one_line(skd_here(*words, "--overwrite"), 2, "holds out/mine/own.csv, which this command reads")
+    (here / "campaign.yaml").write_text(text)
     (here / "campaign.yaml").rename(here / "out" / "campaign.yaml")
     words = ("campaign", "out/campaign.yaml", "--out", "out", "--workers", "1")
     for how in ("--resume", "--overwrite"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import make_controller
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 from skd_sim.world.timing import Timing
 
 Write = Callable[..., Path]
@@ -38,6 +38,12 @@ class Rolling:
 
     def __init__(self, off: float) -> None:
         self._off = off
+
+    def prepare(self, scenario: Scenario) -> None:
+        """It needs to know nothing of the scenario."""
+
+    def show(self, others: Sequence[RoadUserState]) -> None:
+        assert not others
 
     def place(self, car: CarState, adversary: AdversaryState) -> tuple[CarState, AdversaryState]:
         self._braking = 0.0

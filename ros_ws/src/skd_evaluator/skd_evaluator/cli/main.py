@@ -80,6 +80,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             why = f"{str(error.filename)[:60]}: no file can have that name ({error.strerror})"
             print(f"{name}: error: {one_line(why)}", file=sys.stderr)
             return EXIT_USAGE
+        if error.errno == errno.ENOSPC and error.filename is None:
+            give_up()  # it may be the output itself
         advice = _LIMITS.get(error.errno or 0, "")
         why = str(error) if _is_somewhere() else "the current folder was removed; go to one that is there"
         print(f"{name}: error: {one_line(why)}{advice}", file=sys.stderr)

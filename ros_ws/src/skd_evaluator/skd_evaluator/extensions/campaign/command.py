@@ -14,6 +14,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Episode
 
+from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
 from skd_evaluator.assessment.run.workers import available_workers
 from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
@@ -39,13 +40,17 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
-    cells = make_cells(read_campaign(arguments.path))
+    combinations = read_campaign(arguments.path)
+    cells = make_cells(combinations)
     if arguments.dry_run:
         return _say_plan(cells, arguments)
     if arguments.resume and arguments.out is None:
         raise UsageError("--resume needs --out: the folder of the campaign to go on with")
     _prepare_graphs(cells, arguments)
     out = output_path(arguments)
+    if arguments.overwrite:
+        reads = [path for one in combinations for path in inputs_of({**one.values, "scenario": one.scenario})]
+        refuse_to_replace(out, reads)
     folder = CampaignFolder(out, cells, resume=arguments.resume, overwrite=arguments.overwrite)
     try:
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
