@@ -1,4 +1,4 @@
-"""Nobody walks through what is parked: not kamikazes, whatever they know, nor the ways of the margin, nor φ."""
+"""Nobody walks through what is parked: not kamikazes, whatever they know, nor the margin trajectories, nor φ."""
 
 from __future__ import annotations
 

@@ -321,7 +321,7 @@ def ridden(limits: RidingLimits, heading: float, speed: float, action: int, most
     """
     effort = limits.acceleration * _ACCELERATES[action] - limits.deceleration * _BRAKES[action]
     after = min(max(0.0, speed + time_step * effort), max(most, speed))
-    if after < _SAME:  # what rounding leaves of braking to a stand: nobody who stands turns
+    if after < _SAME:  # rounding after a stop: a road user at rest does not turn
         after = 0.0
     direction = heading + _SIDE[action] * _sharpest(limits, after, time_step)
     return after * math.cos(direction), after * math.sin(direction)

@@ -94,7 +94,7 @@ def resample(times: FloatArray, positions: FloatArray, time_step: float) -> Floa
 
 
 def too_fast(times: FloatArray, positions: FloatArray, fastest: float) -> tuple[int, str] | None:
-    """Return the first row to which somebody moves faster than can be, and how; none where there is none.
+    """Return the first row that is reached at an impossible speed, and why; None where there is none.
 
     Args:
         times: n times, s, strictly increasing.

@@ -218,7 +218,7 @@ FIGURES = (
            campaign=5, compare=7),
     Figure("margin_how", TEXT_OR_NULL, "what was driven, where it was not the car itself in process", _MARGIN,
            told=Told.SEARCH, campaign=4, compare=4),
-    Figure("impact_speed", SPEEDS, "speed of the car when it hits on the ways of the margin, m/s: mean and 90 % "
+    Figure("impact_speed", SPEEDS, "speed of the car when it hits on the margin trajectories, m/s: mean and 90 % "
            "quantile", _MARGIN, "impact speed", _LESS, summary=4, first=True, campaign=6, compare=13),
     Figure("risk_1", PROBABILITY, "R(1): how likely the front of the moving car hits somebody who walks φ as people do",
            _RISK, "risk R(1)", _LESS, by_phi=True, independent="ci95_runs",

@@ -36,8 +36,6 @@ from skd_evaluator.metrics.behaviour.model import load_behaviour
 
 TRIALS_PER_REQUESTED = 2
 """Cap on kamikaze episodes per wanted kamikaze trajectory."""
-SAFE_TRIALS_PER_REQUESTED = 20
-SAFE_SIMULATIONS = 2000
 
 
 class Stage(IntEnum):

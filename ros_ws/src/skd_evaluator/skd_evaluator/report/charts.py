@@ -162,7 +162,8 @@ def vulnerability_chart(shown: Sequence[ShownCurve]) -> Spec:
     x = alt.X("eta:Q", title="η: how far the adversary may deviate from φ (m)")
     x = x.scale(domain=[0.0, end], nice=False)
     y, low = (alt.Y(f"{name}:Q", title="can be hit (% of trials)").scale(domain=[0, 100]) for name in ("rate", "low"))
-    legend = None if alone else _legend("the most vulnerable first", symbolType="stroke", symbolSize=600)
+    more: Spec = {"symbolType": "stroke", "symbolSize": 600, "symbolOpacity": 1}
+    legend = None if alone else _legend("the most vulnerable first", **more)
     dashes = [list(one) for one in palette.in_turn(len(names))]
     colour = alt.Color("car:N", sort=names, legend=legend).scale(domain=names, range=palette.ordered(len(names)))
     dash = alt.StrokeDash("car:N", sort=names, legend=legend).scale(domain=names, range=dashes)

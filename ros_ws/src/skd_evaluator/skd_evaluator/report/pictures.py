@@ -57,7 +57,7 @@ def _broken(text: str, length: int) -> str:
 
 
 def _ranks(rating: Assessment, assessment: ObjectiveResult) -> bool:
-    """Return whether an assessment is the one that is ranked by; its picture has the ways of the margin too."""
+    """Return whether an assessment is the one that is ranked by; its picture has the margin trajectories too."""
     return assessment is rating.for_deviation
 
 
@@ -117,9 +117,9 @@ def _intervals(rating: Assessment, assessment: ObjectiveResult) -> str:
 
 
 def _draw_ways(axes: Axes, ways: Sequence[Trajectory], shown: int) -> None:
-    """Draw ways of the margin, the least first, at most so many."""
+    """Draw margin trajectories, the least first, at most so many."""
     least = ways[:shown]
-    label = "way of the margin, the least that is enough, ending at +" + (
+    label = "margin trajectory (least deviation that is hit), ending at +" + (
         f"; {shown} of {len(ways)}" if len(ways) > shown else ""
     )
     colour, dashes = palette.MARGIN, (0, (4, 2))
@@ -193,7 +193,7 @@ def _label_times(axes: Axes, phi: Trajectory) -> None:
 def save_trajectories(path: Path, rating: Assessment, assessment: ObjectiveResult, shown: int = 40) -> None:
     """Save φ and its kamikaze trajectories seen from above, one panel per φ, with lane and car.
 
-    In the picture of the kamikazes that rank the car are the ways of the margin too.
+    In the picture of the kamikazes that rank the car are the margin trajectories too.
 
     Args:
         path: file to which the picture is written.

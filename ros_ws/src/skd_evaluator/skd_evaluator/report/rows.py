@@ -107,7 +107,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
         "nominal_collision_rate": {
             "basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned"
         },
-        "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the ways of the margin" if speed else ""},
+        "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else ""},
         "deviation": {
             "basis": f"{f'knowledge: {knowledge}; ' if knowledge else ''}{counted(ranking['trials'], 'trial')} "
             f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"

@@ -1,4 +1,4 @@
-"""From a plan to an assessment: the stages, in their order, whoever runs the episodes."""
+"""The stages of an assessment, in order; the same in process, through the graph and on a cluster."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def _other(scenario: Scenario, index: int) -> dict[str, Any]:
 
 
 def margin_hits(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
-    """Return per φ the ways of the margin, the least first, at most so many: points at ticks, m, and their figures."""
+    """Return per φ the margin trajectories, the least first, at most so many: points at ticks, m, and their figures."""
     if not subject.episodes.margin_hits:
         return [[] for _ in subject.episodes.safe]
     return [

@@ -55,7 +55,7 @@ LARGEST = 5_000_000
 """Bytes of a page."""
 _WAYS_SHARE = 0.97  # of the positions that would fill the page to the last byte
 _WAYS_OF_A_PHI, _WAYS_OF_MARGINS = 40, 4000
-"""Most ways of the margin that are in the page, of one φ and of all."""
+"""Most margin trajectories that are in the page, of one φ and of all."""
 _SCRIPTS = ("data.js", "scene.js", "charts.js", "detail.js", "player.js", "table.js", "main.js")
 _OUTCOMES = {
     Outcome.COLLISION: "touched", Outcome.ARRIVED: "arrived", Outcome.MISSED: "missed", Outcome.TIMEOUT: "time was up",

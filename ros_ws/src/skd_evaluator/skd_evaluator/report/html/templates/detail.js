@@ -19,7 +19,7 @@ class Detail {
     for (const one of document.querySelectorAll(".of-subject")) one.hidden = Number(one.dataset.subject) !== number;
     const names = Object.keys(this.subject.repeat).filter((name) => name);
     const choices = names.map((name) => [name, `kamikazes of objective ${name}`]);
-    if (this.subject.ways.some((ways) => ways.length)) choices.unshift([MARGIN, "ways of the margin"]);
+    if (this.subject.ways.some((ways) => ways.length)) choices.unshift([MARGIN, "margin trajectories"]);
     this.choice.replaceChildren(...choices.map(([value, textContent]) => html("option", { value, textContent })));
     this.choice.value = choices[0][0] === MARGIN ? MARGIN : this.episodes.objectives[this.subject.ranking];
     this.drawMaps();
@@ -87,7 +87,7 @@ class Detail {
   }
 
   panel({ phi, all, ways, noun, margin }, box) {
-    const picture = new Picture(box, this.subject.scene, `Map of ${phi.name}: safe trajectory and ${ways.length} ${margin ? "ways of the margin" : "kamikaze trajectories"}`);
+    const picture = new Picture(box, this.subject.scene, `Map of ${phi.name}: safe trajectory and ${ways.length} ${margin ? "margin trajectories" : "kamikaze trajectories"}`);
     picture.road();
     const way = margin ? null : middle(ways);
     if (way) {
