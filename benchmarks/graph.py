@@ -25,13 +25,13 @@ from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graph_session, prepare_ros
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 
 WARM_UP = 5  # episodes
 PERIOD = 0.02  # s, of the car that decides often
 
 
-def episodes(mode: Mode, count: int, control_period: float | None = None) -> list[Episode]:
+def episodes(mode: Mode, count: int, control_period: float | None = None) -> list[EpisodeSpec]:
     """Return episodes along a synthetic φ."""
     scenario = load_scenario("crossing")
     if control_period is not None:
@@ -41,7 +41,7 @@ def episodes(mode: Mode, count: int, control_period: float | None = None) -> lis
     return [single_episode(plan, mode, trial, safe) for trial in range(count)]
 
 
-def pace(nodes: str, batch: Sequence[Episode], *, recorded: bool = False) -> tuple[float, float]:
+def pace(nodes: str, batch: Sequence[EpisodeSpec], *, recorded: bool = False) -> tuple[float, float]:
     """Return episodes and ticks of the world a second, of a graph whose simulator and adversary run there."""
     with tempfile.TemporaryDirectory() as scratch:
         bags = Path(scratch) / "bags" if recorded else None

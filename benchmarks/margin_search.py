@@ -30,13 +30,13 @@ from skd_evaluator.margin.search.rounds import in_processes
 from skd_evaluator.margin.search.search import DEEPER, IN_PROCESS, Effort, SearchedMargins, search_margins
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 
 COLUMNS = ("car", "scenario", "seed", "said (m)", "converged", "budget", "excess (m)", "deep / default", "s", "s deep")
 DEEP_TRIALS = 20
 
 
-def episodes_of(car: Car, seed: int, safe: str, safe_count: int, trials: int) -> list[Episode]:
+def episodes_of(car: Car, seed: int, safe: str, safe_count: int, trials: int) -> list[EpisodeSpec]:
     """Return so many trials of a car, equally many on each nominal trajectory."""
     each = max(1, trials // safe_count)
     plan = Plan(
@@ -57,7 +57,7 @@ def episodes_of(car: Car, seed: int, safe: str, safe_count: int, trials: int) ->
     ]
 
 
-def searched(episodes: Sequence[Episode], workers: int, effort: Effort) -> tuple[SearchedMargins, float]:
+def searched(episodes: Sequence[EpisodeSpec], workers: int, effort: Effort) -> tuple[SearchedMargins, float]:
     """Return what a search finds in trials, and how long it takes, s."""
     begin = time.perf_counter()
     with InProcessRunner(workers) as runner:
@@ -70,7 +70,7 @@ def margins(found: SearchedMargins, eta_max: float) -> FloatArray:
     return np.array([eta_max if hit is None else hit.distance for hit in found.hits])
 
 
-def row(car: Car, episodes: Sequence[Episode], workers: int, times: int) -> list[str]:
+def row(car: Car, episodes: Sequence[EpisodeSpec], workers: int, times: int) -> list[str]:
     """Return what a car's row says from "said" on."""
     found, seconds = searched(episodes, workers, IN_PROCESS)
     said = margins(found, car.scenario.eta_max)

@@ -107,7 +107,7 @@ PROBLEMS: Final[dict[str, Problem]] = {
 }
 
 
-class Episode(NamedTuple):
+class EpisodeSpec(NamedTuple):
     """What one episode gave: discounted return, moves, and seconds of processor time that planning took."""
 
     value: float
@@ -134,7 +134,7 @@ class _Timed:
         self.seconds += time.process_time() - begin
 
 
-def run_episode(name: str, simulations: int, seed: int, moves: int | None = None) -> Episode:
+def run_episode(name: str, simulations: int, seed: int, moves: int | None = None) -> EpisodeSpec:
     """Run one episode.
 
     Args:
@@ -150,7 +150,7 @@ def run_episode(name: str, simulations: int, seed: int, moves: int | None = None
     planner = _Timed(Planner((problem.planning_model or problem.make)(), options, planning))
     belief = ParticleBelief(model, options.particles, believing)
     played = play(model, belief, planner, world, moves=moves or problem.moves)
-    return Episode(played.value, len(played.actions), planner.seconds)
+    return EpisodeSpec(played.value, len(played.actions), planner.seconds)
 
 
 def main() -> None:

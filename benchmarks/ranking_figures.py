@@ -22,7 +22,7 @@ from skd_evaluator.metrics.risks import SCALES, Touch
 from skd_evaluator.risk.cars import AnyCar
 from skd_evaluator.risk.crossings import CrossingPlan
 from skd_sim.options.adversary import Objective
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 from wide_scenarios import HITS
 
@@ -69,12 +69,12 @@ class Work:
             objective=objective,
         )
 
-    def episodes(self, plan: Plan, mode: Mode, trials: int) -> list[Episode]:
+    def episodes(self, plan: Plan, mode: Mode, trials: int) -> list[EpisodeSpec]:
         """Return the trials, φ by φ."""
         numbers = range(trials)
         return [plan.episode(mode, index, number, phi) for index, phi in enumerate(self.safe) for number in numbers]
 
-    def each(self, episodes: Sequence[Episode], value_of: Callable[[Episode], float], note: str = "") -> Found:
+    def each(self, episodes: Sequence[EpisodeSpec], value_of: Callable[[EpisodeSpec], float], note: str = "") -> Found:
         """Return what a function of a module gives for each trial."""
         return {"values": self.by_phi(list(self.runner.map(value_of, episodes))), "note": note}
 
@@ -84,11 +84,11 @@ class Work:
         return [list(values[first : first + size]) for first in range(0, len(values), size)]
 
 
-def _hit_along(episode: Episode) -> float:
+def _hit_along(episode: EpisodeSpec) -> float:
     return float(run_of(run_episode(episode)) in HITS)
 
 
-def _needed(episode: Episode) -> float:
+def _needed(episode: EpisodeSpec) -> float:
     """Return the deviation (m) of a kamikaze that hits, at most η_max, which stands for all others."""
     log, scenario = run_episode(episode), episode.scenario
     if not log.hit:
@@ -98,7 +98,7 @@ def _needed(episode: Episode) -> float:
     return min(scenario.eta_max, deviation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
 
 
-def _frechet(episode: Episode) -> float:
+def _frechet(episode: EpisodeSpec) -> float:
     """Return the discrete Fréchet distance (m) of a kamikaze that touches the car; nan of one that does not."""
     log = run_episode(episode)
     assert episode.safe_trajectory is not None

@@ -32,7 +32,7 @@ from skd_evaluator.metrics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 
 NOISE = 0.02  # m
 TRIALS = (12, 24)
@@ -61,7 +61,7 @@ CASES = (
 class Recording(WorldSimulator):
     """SKD's own world, which keeps the car's states of all control periods."""
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Begin anew."""
         frame = super().reset(episode)
         self.states = [frame.car]

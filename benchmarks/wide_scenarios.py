@@ -19,7 +19,7 @@ from contacts import Run, counted, run_of
 from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 EARLIER_OR_LATER = 1.0  # s, to either side: 8.3 m of the car's way, against the 2.5 m of an assessment's draw
@@ -110,7 +110,7 @@ def walked(
 
 def scenarios(
     car: Car, safe: Sequence[Trajectory], runs: range, seed: int, manner: Manner = Manner.WIDE
-) -> list[Episode]:
+) -> list[EpisodeSpec]:
     """Return some runs of a car; φ take turns.
 
     Args:
@@ -142,7 +142,7 @@ def scenarios(
         )
         number = episode_id(Stage.NOMINAL, run % len(safe), run // len(safe))
         found.append(
-            Episode(scenario, Mode.REPLAY, seed, number, path, controller=car.controller, multiplier=car.multiplier)
+            EpisodeSpec(scenario, Mode.REPLAY, seed, number, path, controller=car.controller, multiplier=car.multiplier)
         )
     return found
 

@@ -12,7 +12,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 ON_FOOT = {"child": 2.0, "runner": 3.0}  # m/s², in any direction
@@ -87,7 +87,7 @@ def tally(scenario: Scenario, safe: Sequence[Trajectory], count: int) -> tuple[i
     outside, hits, worst = 0, 0, -math.inf
     for number in range(count):
         phi = safe[number % len(safe)]
-        episode: Episode = plan.episode(Mode.KAMIKAZE, number % len(safe), number // len(safe), phi)
+        episode: EpisodeSpec = plan.episode(Mode.KAMIKAZE, number % len(safe), number // len(safe), phi)
         log = run_episode(episode)
         excess = beyond(scenario.adversary.kind, phi.positions, log.adversary, scenario.time_step)
         outside += excess > _ROUNDING

@@ -28,7 +28,7 @@ class Car:
     Attributes:
         label: in tables, and of its part of a stored file.
         family: cars of one family decide by one law.
-        controller: as in `Episode` and in `--controller`.
+        controller: as in `EpisodeSpec` and in `--controller`.
         multiplier: C of the basic controller.
         scenario_name: as in `--scenario`; says the car's dynamics.
         friction: of the road, relative to a dry one.

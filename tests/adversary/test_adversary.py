@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skd_adversary.adversary import PlanningAdversary, make_adversary
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -22,7 +22,7 @@ def noisy(position: float, distance: float) -> Scenario:
 
 
 def adversary(scenario: Scenario, controller: str) -> PlanningAdversary:
-    episode = Episode(scenario, Mode.KAMIKAZE, 3, 1, controller=controller, safe_trajectory=ACROSS, simulations=1)
+    episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 3, 1, controller=controller, safe_trajectory=ACROSS, simulations=1)
     made = make_adversary(episode)
     assert isinstance(made, PlanningAdversary)
     return made

@@ -25,7 +25,7 @@ from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 SCENARIO = load_scenario("cyclist")
@@ -69,7 +69,7 @@ def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
     strange = False
     for number in range(8):
         log = run_episode(
-            Episode(
+            EpisodeSpec(
                 SCENARIO,
                 Mode.KAMIKAZE,
                 5,

@@ -22,7 +22,7 @@ from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.contact import first_contact
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -47,9 +47,9 @@ def a_model(limit: float | None = None, *, known: bool = True, fitted: bool = Fa
     return compose(CROSSING, DEVIATION, predicted, start=start, gap=13.0, path=BENT, maximum_distance=limit)
 
 
-def a_kamikaze(path: Trajectory, number: int, **fields: object) -> Episode:
+def a_kamikaze(path: Trajectory, number: int, **fields: object) -> EpisodeSpec:
     fields = {"objective": Objective.DEVIATION, "simulations": 200, **fields}
-    return Episode(CROSSING, Mode.KAMIKAZE, 5, number, safe_trajectory=path, **fields)  # type: ignore[arg-type]
+    return EpisodeSpec(CROSSING, Mode.KAMIKAZE, 5, number, safe_trajectory=path, **fields)  # type: ignore[arg-type]
 
 
 def strayed(log: EpisodeLog) -> float:

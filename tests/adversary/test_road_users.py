@@ -27,7 +27,7 @@ from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 from skd_sim.world.world import make_world
 
@@ -91,7 +91,7 @@ def test_nothing_that_it_could_do_comes_nearer_to_what_is_wanted(vx: float, vy: 
 def test_it_comes_from_its_side_and_not_through_what_is_parked() -> None:
     arrived = 0
     for number in range(8):
-        log = run_episode(Episode(CHILD, Mode.SAFE, 1, number, multiplier=1.15))
+        log = run_episode(EpisodeSpec(CHILD, Mode.SAFE, 1, number, multiplier=1.15))
         assert log.adversary[0, 0] == 4.0
         if log.outcome == Outcome.ARRIVED:
             arrived += 1
@@ -116,12 +116,12 @@ AHEAD = Trajectory(np.column_stack([np.full(16, -3.5), -8.0 + 9.0 * STEP * np.ar
 def cut_in(number: int, mode: Mode, controller: str = "carla", **options: object) -> EpisodeLog:
     phi = None if mode == Mode.SAFE else AHEAD
     return run_episode(
-        Episode(CUT_IN, mode, 2, number, controller=controller, safe_trajectory=phi, **options)  # type: ignore[arg-type]
+        EpisodeSpec(CUT_IN, mode, 2, number, controller=controller, safe_trajectory=phi, **options)  # type: ignore[arg-type]
     )
 
 
 def test_it_comes_as_it_drives() -> None:
-    world = make_world(Episode(CUT_IN, Mode.SAFE, 0, 0))
+    world = make_world(EpisodeSpec(CUT_IN, Mode.SAFE, 0, 0))
     assert world.adversary[:4] == pytest.approx((-3.5, -8.0, 0.0, 9.0))
     assert world.adversary.heading == pytest.approx(math.pi / 2.0)
 

@@ -17,7 +17,7 @@ from skd_sim.options.adversary import Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 
 SCENARIOS = {name: load_scenario(name) for name in ("cbtafs", "cptans", "right_turn")}
 Parameters = namedtuple("Parameters", ("line", "straight_from", "chord", "rear", "radius"))
@@ -65,11 +65,11 @@ def test_who_is_hit_along_phi_hardly_leaves_it(name: str) -> None:
     """The cyclist begins beside the road on which the car comes, and far behind it by that road's coordinate."""
     scenario = load_scenario(name)
     phi = regulatory_trajectories(scenario)[len(scenario.protocol.impact_places) // 2]
-    along = run_episode(Episode(scenario, Mode.REPLAY, 0, 0, multiplier=0.75, safe_trajectory=phi))
+    along = run_episode(EpisodeSpec(scenario, Mode.REPLAY, 0, 0, multiplier=0.75, safe_trajectory=phi))
     assert along.hit
     strayed = []
     for number in range(4):
-        kamikaze = Episode(
+        kamikaze = EpisodeSpec(
             scenario,
             Mode.KAMIKAZE,
             0,

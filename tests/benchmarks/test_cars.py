@@ -22,7 +22,7 @@ from skd_sim.controllers import Controller, make_controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -66,9 +66,9 @@ def test_there_are_twenty_cars_of_eight_families_each_with_a_label_of_its_own():
 def test_a_car_forgets_an_episode_before_the_next(car):
     """The same controller, used for another episode in between, and a new one: to the bit."""
 
-    def episode(number: int) -> Episode:
+    def episode(number: int) -> EpisodeSpec:
         options = {"controller": car.controller, "multiplier": car.multiplier}
-        return Episode(car.scenario, Mode.REPLAY, 0, number, HESITANT, **options)
+        return EpisodeSpec(car.scenario, Mode.REPLAY, 0, number, HESITANT, **options)
 
     used = make_controller(car.controller, car.multiplier)
     first, _, again = (run_episode(episode(number), used) for number in (7, 8, 7))
@@ -99,7 +99,9 @@ def test_the_brake_by_time_to_collision_creeps_towards_who_stands_in_its_way():
     scenario = CROSSING
     stands = Trajectory(np.tile([[0.0, 2.0]], (40, 1)), 0.3)
     control = next(car for car in HERE if car.controller == "cars.collision_time:CollisionTimeBrake").scenario
-    log = run_episode(Episode(control, Mode.REPLAY, 0, 0, stands, controller="cars.collision_time:CollisionTimeBrake"))
+    log = run_episode(
+        EpisodeSpec(control, Mode.REPLAY, 0, 0, stands, controller="cars.collision_time:CollisionTimeBrake")
+    )
     assert log.outcome != Outcome.COLLISION or log.impact_speed < scenario.collision.hit_speed
     gaps = 2.0 - (log.car[:, 1] + FRONT) - RADIUS
     late = slice(12, 20)
@@ -127,7 +129,7 @@ def test_who_slows_near_anybody_wants_a_speed_in_proportion(ahead, left, speed):
 def test_who_slows_near_anybody_never_stops():
     stands = Trajectory(np.tile([[-1.5, 2.0]], (30, 1)), 0.3)
     for kind, name in ((SlowsNearAnybody, "SlowsNearAnybody"), (SlowsLate, "SlowsLate")):
-        log = run_episode(Episode(CROSSING, Mode.REPLAY, 0, 0, stands, controller=f"cars.slows:{name}"))
+        log = run_episode(EpisodeSpec(CROSSING, Mode.REPLAY, 0, 0, stands, controller=f"cars.slows:{name}"))
         assert log.car[:, 2].min() > 0.8 * kind.LEAST
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from shapely import box, distance, points
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -38,7 +38,7 @@ class NeverBrakes:
 
 
 def run(phi: Trajectory, scenario=STEADY):
-    return run_episode(Episode(scenario, Mode.REPLAY, 0, 0, phi), NeverBrakes())
+    return run_episode(EpisodeSpec(scenario, Mode.REPLAY, 0, 0, phi), NeverBrakes())
 
 
 @given(st.floats(0.5, 3.5), st.floats(-8.0, 8.0), st.integers(0, 8))

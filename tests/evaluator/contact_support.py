@@ -15,7 +15,7 @@ from skd_evaluator.metrics.risks import Touch
 from skd_sim.controllers import Controller
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 STEP = 5e-4  # s between the moments that are looked at
 UNSURE = 2e-3  # m to the corner's beginning within which it is not said which side touches
@@ -54,7 +54,7 @@ class Driven:
 class WatchedWorld(WorldSimulator):
     """SKD's own world, whose car is watched within the ticks."""
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         frame = super().reset(episode)
         self.driven = Driven(self._world._dynamics)
         self._world._dynamics = self.driven
@@ -67,7 +67,7 @@ class WatchedWorld(WorldSimulator):
         return np.array([0.0, *self.driven.times[1:]]), states
 
 
-def watched(episode: Episode, controller: Controller | None = None) -> tuple[EpisodeLog, Seen | None]:
+def watched(episode: EpisodeSpec, controller: Controller | None = None) -> tuple[EpisodeLog, Seen | None]:
     """Run an episode, and return its log and what was seen: None where nobody was touched."""
     world = WatchedWorld()
     log = run_episode(episode, controller, simulator=world)

@@ -10,7 +10,7 @@ from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.deviation import Hit
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.world import Contact, World
 
@@ -20,14 +20,14 @@ TIME_STEP = CROSSING.time_step
 
 def kamikaze_episode(
     points, ticks=40, multiplier=1.0, seed=0, number=0, gap=None, impact=0.0, simulations=1000
-) -> Episode:
+) -> EpisodeSpec:
     scenario = replace(
         CROSSING,
         horizon=ticks * TIME_STEP,
         car=CROSSING.car if gap is None else replace(CROSSING.car, start_gap=gap),
         collision=replace(CROSSING.collision, minimum_impact_speed=impact),
     )
-    return Episode(
+    return EpisodeSpec(
         scenario,
         Mode.KAMIKAZE,
         seed,
@@ -38,7 +38,7 @@ def kamikaze_episode(
     )
 
 
-def search_margin(episode: Episode, budget: int) -> Hit | None:
+def search_margin(episode: EpisodeSpec, budget: int) -> Hit | None:
     """Return the hit of least deviation that the search finds in one trial."""
     return search_margins([episode], {}, one_by_one, Effort(min(32, budget), budget)).hits[0]
 
@@ -50,7 +50,7 @@ def bent(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.cumsum(np.vstack([start, steps]), axis=0)
 
 
-def any_touch(episode: Episode) -> Episode:
+def any_touch(episode: EpisodeSpec) -> EpisodeSpec:
     """Return the episode with every collision a hit, as the distances of planned kamikazes count them."""
     collision = replace(episode.scenario.collision, hit_speed=episode.scenario.collision.minimum_impact_speed)
     return replace(episode, scenario=replace(episode.scenario, collision=collision, eta_max=100.0))

@@ -28,7 +28,7 @@ from skd_evaluator.report.presentation import any_aborted, too_many_aborted, why
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, SubsetEffort, levels_of
 from skd_sim.options.adversary import Objective
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from test_campaign import straight, trial
 from test_warnings import PLAN, assessed
 
@@ -39,7 +39,7 @@ _FIGURES = ("contact_rate", "nominal_collision_rate", "kamikaze_success_rate", "
 def rating(count: int, lost: Outcome = Outcome.ABORTED, mode: Mode = Mode.REPLAY, plan: Any = MANY) -> Assessment:
     """A car of which the first episodes on the first φ end so; kamikazes collide, and of others one in twenty."""
 
-    def decide(episode: Episode) -> tuple[Outcome, int]:
+    def decide(episode: EpisodeSpec) -> tuple[Outcome, int]:
         if episode.mode == mode and episode.safe_trajectory.name == "one" and trial(episode) < count:
             return lost, 0
         hit = episode.mode == Mode.KAMIKAZE or trial(episode) == 19
@@ -280,7 +280,7 @@ def test_aborted_bounded_kamikazes_are_counted() -> None:
     ends = {0: Outcome.ABORTED, 1: Outcome.COLLISION}
 
     class Runner:
-        def run(self, episodes: list[Episode]) -> Any:
+        def run(self, episodes: list[EpisodeSpec]) -> Any:
             for number, episode in enumerate(episodes):
                 (log,) = rating(0).results[0].kamikaze[0].logs[:1]
                 yield replace(log, episode=episode, outcome=ends.get(number, Outcome.ARRIVED))

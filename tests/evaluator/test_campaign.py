@@ -25,7 +25,7 @@ from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 from stages import rate
 
@@ -55,11 +55,11 @@ def straight(y: float = 0.0, name: str = "straight") -> Trajectory:
 class StubRunner:
     """Ends every episode as `decide` says, and remembers what was asked for."""
 
-    def __init__(self, decide: Callable[[Episode], Outcome]) -> None:
+    def __init__(self, decide: Callable[[EpisodeSpec], Outcome]) -> None:
         self.decide = decide
-        self.batches: list[list[Episode]] = []
+        self.batches: list[list[EpisodeSpec]] = []
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         self.batches.append(list(episodes))
         for episode in episodes:
             start = np.array(episode.start)
@@ -68,7 +68,7 @@ class StubRunner:
             yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit)
 
 
-def trial(episode: Episode) -> int:
+def trial(episode: EpisodeSpec) -> int:
     return episode.episode_id & 0xFFFFFFFF
 
 
@@ -110,7 +110,7 @@ def test_one_kamikaze_trajectory_has_no_variance_and_no_bound():
 
 
 def test_aborted_episodes_count_in_no_rate():
-    def decide(episode: Episode) -> Outcome:
+    def decide(episode: EpisodeSpec) -> Outcome:
         return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[trial(episode) % 3]
 
     result = rated(SMALL, [straight()], StubRunner(decide)).as_dict()
@@ -125,7 +125,7 @@ def test_aborted_episodes_count_in_no_rate():
 def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
     """They stand in episodes.npz, and report, comparison and gate compute from it."""
 
-    def decide(episode: Episode) -> Outcome:
+    def decide(episode: EpisodeSpec) -> Outcome:
         return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[trial(episode) % 3]
 
     found = rated(SMALL, [straight(), straight(1.0)], StubRunner(decide))
@@ -176,7 +176,7 @@ def test_walkers_are_as_many_different_safe_crossings_as_are_asked_for(name):
     # nobody is hit by the paper's safest car under the draws with which the crossing was found
     numbers = [episode_id(Stage.SAFE, 0, int(phi.name.removeprefix("walkers/"))) for phi in safe]
     along = [
-        Episode(plan.scenario, Mode.REPLAY, 4, number, safe_trajectory=phi, multiplier=1.15)
+        EpisodeSpec(plan.scenario, Mode.REPLAY, 4, number, safe_trajectory=phi, multiplier=1.15)
         for number, phi in zip(numbers, safe, strict=True)
     ]
     assert {log.outcome for log in runner.run(along)} == {Outcome.ARRIVED}

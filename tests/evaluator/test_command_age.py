@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.episode_figures import command_age
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.timing import Timing
 
-EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 0, 0)
+EPISODE = EpisodeSpec(load_scenario("crossing"), Mode.SAFE, 0, 0)
 NOTHING = np.zeros((1, 2)), np.zeros((1, 3))
 
 

@@ -28,7 +28,7 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.ros.lockstep import ControlStep, End, Lockstep, Source, Start, WaitLimits, frame_stamp
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.sensors import make_laser
 from skd_sim.world.state import AdversaryState, CarState
 
@@ -36,7 +36,7 @@ POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]
 OFTEN = replace(CROSSING, control_period=0.1)
 
 
-def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> Episode:
+def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> EpisodeSpec:
     """An episode against the basic car that decides every 0.1 s, or against CAL."""
     base = kamikaze_episode(POINTS, 60, 1.0, number=number, simulations=60)
     plan = Plan(OFTEN if name == "basic" else CROSSING, controller=name)
@@ -104,7 +104,7 @@ class Alone:
         return ""
 
 
-def frames_of(episode: Episode, *, real_time: bool) -> Iterator[Frame]:
+def frames_of(episode: EpisodeSpec, *, real_time: bool) -> Iterator[Frame]:
     """Run an episode through the rules of the graph; in real time every command comes in time."""
     start = 3_000_000_000
     simulator, adversary = WorldSimulator(), make_adversary(episode)
@@ -135,7 +135,7 @@ def frames_of(episode: Episode, *, real_time: bool) -> Iterator[Frame]:
         yield frame
 
 
-def log_of(episode: Episode, frames: Iterator[Frame]) -> EpisodeLog:
+def log_of(episode: EpisodeSpec, frames: Iterator[Frame]) -> EpisodeLog:
     at_ticks = [frame for frame in frames if frame.period == 0]
     last = at_ticks[-1]
     return EpisodeLog(

@@ -30,7 +30,7 @@ from skd_evaluator.driving.drive import (
 from skd_evaluator.driving.screen import KEYS, Screen, top_view
 from skd_evaluator.metrics.surrogate_measures import clearance_at
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import AdversaryState, CarState
 from terminals import Terminal
 
@@ -38,7 +38,7 @@ SCENARIO = load_scenario("crossing")
 NORTH = 0.5 * math.pi
 
 
-def of_keys(**changes: float) -> Episode:
+def of_keys(**changes: float) -> EpisodeSpec:
     return Plan(replace(SCENARIO, **changes)).episode(Mode.SAFE, 0, 0, None)
 
 

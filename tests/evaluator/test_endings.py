@@ -17,7 +17,7 @@ from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -38,7 +38,7 @@ MIRRORED = changed(adversary={"start_x": 3.5, "destination_x": -2.0})
 @pytest.mark.parametrize("number", range(4))
 def test_a_safe_crossing_from_the_east_is_the_mirror_image(number: int) -> None:
     """Safe mode sees the distance alone, which has no side; mirrored sums round alike."""
-    one, other = (run_episode(Episode(scene, Mode.SAFE, 3, number)) for scene in (CROSSING, MIRRORED))
+    one, other = (run_episode(EpisodeSpec(scene, Mode.SAFE, 3, number)) for scene in (CROSSING, MIRRORED))
     assert one.outcome == other.outcome
     np.testing.assert_array_equal(one.adversary * MIRROR, other.adversary)
     np.testing.assert_allclose(one.car[:, 1:], other.car[:, 1:], atol=1e-12)
@@ -50,7 +50,7 @@ def test_kamikazes_from_the_east_hit_and_are_believed(objective: Objective) -> N
     hits = 0
     for number in range(8):
         log = run_episode(
-            Episode(
+            EpisodeSpec(
                 MIRRORED, Mode.KAMIKAZE, 0, number, multiplier=0.75, safe_trajectory=path, simulations=200,
                 objective=objective,
             )
@@ -80,7 +80,9 @@ def test_the_margin_found_from_the_east_is_the_exact_one_from_the_west(number: i
     """The search comes to what is exact, whichever side they come from."""
     path = np.column_stack([-3.5 + 0.7 * np.arange(9), 0.05 * np.arange(9)])
     west, east = (
-        Episode(scene, Mode.KAMIKAZE, 0, number, safe_trajectory=Trajectory(way, 0.3), objective=Objective.DEVIATION)
+        EpisodeSpec(
+            scene, Mode.KAMIKAZE, 0, number, safe_trajectory=Trajectory(way, 0.3), objective=Objective.DEVIATION
+        )
         for scene, way in ((CROSSING, path), (MIRRORED, path * MIRROR))
     )
     exact = exact_margin(west)

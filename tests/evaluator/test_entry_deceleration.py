@@ -11,7 +11,7 @@ from skd_evaluator.metrics.contact_place import deceleration_at_entry
 from skd_evaluator.metrics.measures import measure_pairs, pair_of
 from skd_sim.scenario.road import Part, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING, CUT_IN = load_scenario("crossing"), load_scenario("cut_in")
@@ -21,7 +21,7 @@ EDGE = 0.9 + 0.25  # half of the car, and the disc
 
 def log_of(scenario: Scenario, adversary: np.ndarray, car: np.ndarray, impact_time: float) -> EpisodeLog:
     phi = Trajectory(np.array(adversary), STEP)
-    episode = Episode(scenario, Mode.KAMIKAZE, 0, 0, safe_trajectory=phi)
+    episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, safe_trajectory=phi)
     return EpisodeLog(episode, Outcome.COLLISION, np.array(adversary), np.array(car), impact_time, 5.0)
 
 

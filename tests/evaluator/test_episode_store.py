@@ -30,7 +30,7 @@ from skd_evaluator.extensions.campaign.episode_store import (
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 from skd_sim.world.timing import Timing
 
@@ -41,11 +41,11 @@ CELL, OTHER = b"c" * 16, b"d" * 16
 FLOATS = st.floats(allow_nan=True, allow_infinity=True)
 
 
-def episode(trial: int) -> Episode:
+def episode(trial: int) -> EpisodeSpec:
     return PLAN.episode(Mode.KAMIKAZE, 0, trial, ACROSS)
 
 
-def log_of(one: Episode, rows: int = 3) -> EpisodeLog:
+def log_of(one: EpisodeSpec, rows: int = 3) -> EpisodeLog:
     """What happened, different for every episode."""
     draws = np.random.default_rng(one.episode_id)
     return EpisodeLog(
@@ -129,14 +129,14 @@ def test_whatever_is_specified_is_in_the_digest():
     digests = Specifications()
     found = [digests.digest(one) for one in (base, *others)]
     assert len(set(found)) == len(found)
-    options = {one.name for one in dataclasses.fields(Episode)}
+    options = {one.name for one in dataclasses.fields(EpisodeSpec)}
     changed = {name for one in others for name in options if getattr(one, name) is not getattr(base, name)}
     assert changed == options
     same = dataclasses.replace(base, scenario=load_scenario("crossing"), safe_trajectory=dataclasses.replace(ACROSS))
     assert Specifications().digest(same) == found[0]
 
 
-def filled(folder: Path, count: int = 40) -> tuple[list[Episode], list[bytes]]:
+def filled(folder: Path, count: int = 40) -> tuple[list[EpisodeSpec], list[bytes]]:
     """Episodes of a store that was closed."""
     store = EpisodeStore(folder / FILE_NAME)
     episodes = [episode(trial) for trial in range(count)]
@@ -147,7 +147,7 @@ def filled(folder: Path, count: int = 40) -> tuple[list[Episode], list[bytes]]:
     return episodes, keys
 
 
-def read_all(folder: Path, episodes: Sequence[Episode], keys: Sequence[bytes]) -> list[int]:
+def read_all(folder: Path, episodes: Sequence[EpisodeSpec], keys: Sequence[bytes]) -> list[int]:
     """Which episodes are there; each is held against what was put."""
     store = EpisodeStore(folder / FILE_NAME)
     try:
@@ -207,7 +207,7 @@ def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> tuple[bytes, list[Episode], list[bytes]]:
+def whole(tmp_path_factory) -> tuple[bytes, list[EpisodeSpec], list[bytes]]:
     folder = tmp_path_factory.mktemp("whole")
     episodes, keys = filled(folder)
     return (folder / FILE_NAME).read_bytes(), episodes, keys
@@ -251,7 +251,7 @@ class Counting:
     def __init__(self) -> None:
         self.asked: list[int] = []
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         for one in episodes:
             trial = one.episode_id & 0xFFFF
             again = trial in self.asked

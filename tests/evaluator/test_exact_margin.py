@@ -18,7 +18,7 @@ from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.deviation import Hit, deviation
 from skd_sim.controllers import BasicController
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.world import Contact, World, make_world
 
@@ -28,7 +28,7 @@ FULL_ONLY, BOTH = (1.0,), (1.0, 0.5)
 Step = tuple[CarState, AdversaryState, float, Contact | None, Outcome]
 
 
-def trial(points, ticks=40, multiplier=1.0, seed=0, gap=None, impact=0.0, hit=0.556, eta_max=5.0) -> Episode:
+def trial(points, ticks=40, multiplier=1.0, seed=0, gap=None, impact=0.0, hit=0.556, eta_max=5.0) -> EpisodeSpec:
     episode = kamikaze_episode(points, ticks, multiplier, seed, gap=gap, impact=impact)
     collision = replace(episode.scenario.collision, hit_speed=hit)
     return replace(episode, scenario=replace(episode.scenario, collision=collision, eta_max=eta_max))
@@ -37,7 +37,7 @@ def trial(points, ticks=40, multiplier=1.0, seed=0, gap=None, impact=0.0, hit=0.
 class Steps:
     """The world of an episode, whose steps can be taken from anywhere; and the distance from φ, by its definition."""
 
-    def __init__(self, episode: Episode, paces: tuple[float, ...] = BOTH) -> None:
+    def __init__(self, episode: EpisodeSpec, paces: tuple[float, ...] = BOTH) -> None:
         self.episode, self.paces = episode, paces
         self.world: World = make_world(episode)
         self.controller = BasicController(episode.multiplier)
@@ -80,7 +80,7 @@ class Steps:
             yield self.world.car, after, away, contact, outcome
 
 
-def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
+def brute_force(episode: EpisodeSpec, paces: tuple[float, ...] = BOTH) -> float:
     """Return the least deviation over all sequences of moves, every step made by the world; infinity: none.
 
     Only what has strayed more than a hit found before is not followed any further.
@@ -103,7 +103,7 @@ def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
     return best
 
 
-def least_by_layers(episode: Episode, limit: float, paces: tuple[float, ...] = BOTH) -> float:
+def least_by_layers(episode: EpisodeSpec, limit: float, paces: tuple[float, ...] = BOTH) -> float:
     """Return the least deviation up to the limit, tick by tick, in a dictionary of all that can be reached."""
     steps = Steps(episode, paces)
     best = math.inf
@@ -125,7 +125,7 @@ def least_by_layers(episode: Episode, limit: float, paces: tuple[float, ...] = B
     return best
 
 
-def checked(episode: Episode, upper_bound: float | None = None) -> float:
+def checked(episode: EpisodeSpec, upper_bound: float | None = None) -> float:
     """Return the margin, infinity where there is none; look at the way that comes with it, step by step."""
     found = exact_margin(episode, upper_bound)
     if found is None:
@@ -134,7 +134,7 @@ def checked(episode: Episode, upper_bound: float | None = None) -> float:
     return found.distance
 
 
-def check_way(episode: Episode, found: Hit) -> None:
+def check_way(episode: EpisodeSpec, found: Hit) -> None:
     """Walk a way in the world; every step has to be one of the moves, and the last one, and no other, a collision."""
     steps = Steps(episode)
     walked = found.trajectory.positions

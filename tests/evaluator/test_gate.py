@@ -29,7 +29,7 @@ from skd_evaluator.report.terminal import headline
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from stages import rate
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30)
@@ -109,7 +109,7 @@ class Aborting:
     def __init__(self, runner: InProcessRunner) -> None:
         self.runner = runner
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         for log in self.runner.run(episodes):
             lost = log.episode.mode == Mode.KAMIKAZE and log.episode.episode_id % 2
             yield aborted(log.episode, "process ended: it did") if lost else log

@@ -24,7 +24,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge
 from skd_sim.options.options import EpisodeOptions, options_from_text, options_of, options_to_text
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -96,7 +96,7 @@ def test_an_episode_says_what_it_was_planned_with(
 ) -> None:
     """Episodes of before say nothing; and what follows from the rest is not said twice in messages."""
     knowledge = None if said is None else Knowledge(said)
-    episode = Episode(
+    episode = EpisodeSpec(
         CROSSING, Mode.KAMIKAZE, 0, 0, PHI, controller=controller, car_model=car_model, knowledge=knowledge
     )
     assert episode.knowledge == Knowledge(implied)
@@ -107,7 +107,7 @@ def test_an_episode_says_what_it_was_planned_with(
 
 
 def test_who_plans_with_what() -> None:
-    basic = Episode(CROSSING, Mode.KAMIKAZE, 0, 0, PHI)
+    basic = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, 0, PHI)
     assert predicted_car(basic) == known_basic_car(1.0)
     assert predicted_car(replace(basic, knowledge=Knowledge.NOTHING)) == unknown_car()
     for model, kernels in zip(any_car_models(), ("fitted", "forest"), strict=True):
@@ -152,12 +152,12 @@ def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lesso
 
 
 class _Nobody:
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         raise AssertionError("there is nothing to run")
 
 
 class _Aborts:
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         nothing = np.zeros((1, 2))
         for one in episodes:
             yield EpisodeLog(one, Outcome.ABORTED, nothing, np.zeros((1, 3)), reason="no licence")

@@ -19,7 +19,7 @@ from skd_sim.controllers import BasicController
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Mode, Outcome, kind_of
 from skd_sim.world.state import AdversaryState, Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -67,7 +67,7 @@ class Drifts(Named):
 class Elsewhere(Named):
     """Its pedestrian starts two metres further North."""
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         frame = super().reset(episode)
         return frame._replace(adversary=frame.adversary._replace(y=frame.adversary.y + 2.0))
 
@@ -91,7 +91,7 @@ class NoFrame(Named):
 class Endless(Named):
     """Its pedestrian stands still, and no tick is the last one."""
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         self._now = super().reset(episode)
         return self._now
 
@@ -106,7 +106,7 @@ class Endless(Named):
 class Dies(Named):
     """Ends its process in the second tick of some episodes."""
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         self._mortal = episode.mode == Mode.REPLAY and episode.episode_id % 2 == 0
         return super().reset(episode)
 
@@ -130,7 +130,7 @@ def crossed(simulator: str, multiplier: float = 1.0, *, waits: bool = False) -> 
     ticks = np.arange(30)
     x = -3.0 + 1.4 * STEP * (np.where(ticks < 25, np.minimum(1, ticks), ticks - 23) if waits else ticks)
     phi = Trajectory(np.column_stack([x, np.zeros(30)]), STEP)
-    episode = Episode(
+    episode = EpisodeSpec(
         QUIET, Mode.REPLAY, 3, 2 << 30, safe_trajectory=phi, multiplier=multiplier, simulator=simulator
     )  # fmt: skip
     return run_episode(episode, BasicController(multiplier))

@@ -25,7 +25,7 @@ from skd_evaluator.metrics.deviation import deviation
 from skd_sim.controllers import BasicController, Controller, make_controller
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, controller_generator, controller_seed
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, controller_generator, controller_seed
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.world import make_world
 
@@ -68,9 +68,9 @@ class Driver:
     """Drives all candidates with one controller, and runs episodes with it as a runner does."""
 
     def __init__(self, controller: Controller) -> None:
-        self.controller, self.driven = controller, list[Episode]()
+        self.controller, self.driven = controller, list[EpisodeSpec]()
 
-    def run(self, episodes: Sequence[Episode]) -> list[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
         self.driven += episodes
         return [run_episode(episode, self.controller) for episode in episodes]
 
@@ -80,7 +80,7 @@ class Driver:
 
 
 def searched(
-    episodes: Sequence[Episode], effort: Effort = LONG, make: Callable[[], Controller] | None = None
+    episodes: Sequence[EpisodeSpec], effort: Effort = LONG, make: Callable[[], Controller] | None = None
 ) -> SearchedMargins:
     first = episodes[0]
     controller = make_controller(first.controller, first.multiplier) if make is None else make()
@@ -92,20 +92,20 @@ def found(margins: SearchedMargins) -> float:
     return math.inf if hit is None else hit.distance
 
 
-def episodes(multiplier: float, count: int = 3) -> list[Episode]:
+def episodes(multiplier: float, count: int = 3) -> list[EpisodeSpec]:
     """Return trials of one φ."""
     first = kamikaze_episode(POINTS, 40, multiplier)
     return [replace(first, episode_id=episode_id(Stage.KAMIKAZE, 0, number)) for number in range(count)]
 
 
-def short(number: int, ticks: int, control_period: float | None = None) -> Episode:
+def short(number: int, ticks: int, control_period: float | None = None) -> EpisodeSpec:
     """Return an episode of few ticks, in which the car is near from the start."""
     points = bent(np.random.default_rng(number), 6) + np.array([0.3, 0.0])
     episode = kamikaze_episode(points, ticks, number=number, gap=2.0)
     return replace(episode, scenario=replace(episode.scenario, control_period=control_period))
 
 
-def brute_force(episode: Episode, make) -> float:
+def brute_force(episode: EpisodeSpec, make) -> float:
     """Return the least deviation of all sequences of ways; infinity: none within η_max."""
     phi = episode.safe_trajectory.positions
     least = math.inf
@@ -265,7 +265,7 @@ def test_a_car_that_does_not_repeat_itself_is_noticed():
 
 def test_a_search_all_of_whose_episodes_are_aborted_is_an_error():
     def abort(groups: Sequence[Group], budget: int, _what: str) -> list[Group]:
-        def lost(some: Sequence[Episode]) -> list[EpisodeLog]:
+        def lost(some: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
             return [replace(run_episode(one), outcome=Outcome.ABORTED, reason="no answer") for one in some]
 
         search(groups, budget, lost)
@@ -288,7 +288,7 @@ def test_no_hit_beyond_eta_max_counts():
     scenario = replace(load_scenario("cut_in"), eta_max=2.0)
     found = []
     for number in range(4):
-        episode = Episode(scenario, Mode.KAMIKAZE, 1, number, safe_trajectory=phi, multiplier=0.75)
+        episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 1, number, safe_trajectory=phi, multiplier=0.75)
         (hit,) = searched([episode], Effort(64, 128)).hits
         if hit is not None:
             found.append(hit.distance)

@@ -16,7 +16,7 @@ from skd_evaluator.metrics.measures import Measured, Pair, load_measures, pair_o
 from skd_evaluator.metrics.statistics import mean, normal_interval, sample_variance
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -35,7 +35,7 @@ def world(phi: np.ndarray, walks: Sequence[np.ndarray], shares: Sequence[float])
     safe = Trajectory(phi, STEP, "φ")
     pairs = []
     for number, (walk, share) in enumerate(zip(walks, shares, strict=True)):
-        spec = Episode(CROSSING, Mode.KAMIKAZE, 0, number, safe_trajectory=safe)
+        spec = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, number, safe_trajectory=safe)
         time = (len(walk) - 2 + share) * STEP
         car = np.zeros((len(walk), 3))
         pairs.append(pair_of(EpisodeLog(spec, Outcome.COLLISION, walk, car, time, 3.0)))

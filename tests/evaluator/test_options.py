@@ -30,7 +30,7 @@ from skd_sim.options.options import (
 )
 from skd_sim.ros.from_messages import message_to_episode
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -49,7 +49,7 @@ class More(EpisodeOptions):
 
 def message_of(episode: Any) -> SimpleNamespace:
     """What a message of an episode says, by the table."""
-    said = {one.name: one.plain(getattr(episode, one.name)) for one in options_of(Episode) if one.name in FIELDS}
+    said = {one.name: one.plain(getattr(episode, one.name)) for one in options_of(EpisodeSpec) if one.name in FIELDS}
     points = [SimpleNamespace(x=x, y=y) for x, y in ACROSS.positions.tolist()]
     return SimpleNamespace(
         scenario=json.dumps(CROSSING.as_dict()),
@@ -67,7 +67,7 @@ def message_of(episode: Any) -> SimpleNamespace:
 
 def test_every_option_is_an_argument_of_an_episode_and_of_a_plan():
     names = {one.name for one in options_of(EpisodeOptions)}
-    assert names == {one.name for one in options_of(Episode)}
+    assert names == {one.name for one in options_of(EpisodeSpec)}
     assert names < {one.name for one in options_of(CampaignOptions)}
     assert all(
         one.text and one.name and one.plain_kind in (bool, int, float, str) for one in options_of(CampaignOptions)
@@ -78,14 +78,14 @@ def test_every_option_is_an_argument_of_an_episode_and_of_a_plan():
 
 
 def test_an_episode_survives_its_message():
-    episode = Episode(
+    episode = EpisodeSpec(
         CROSSING, Mode.KAMIKAZE, 3, 4, ACROSS, controller="carla", multiplier=0.7, simulations=12,
         objective=Objective.FRECHET, maximum_distance=2.5,
     )  # fmt: skip
     found = message_to_episode(message_of(episode))
-    for one in options_of(Episode):
+    for one in options_of(EpisodeSpec):
         assert getattr(found, one.name) == getattr(episode, one.name), one.name
-    plain = message_to_episode(message_of(Episode(CROSSING, Mode.KAMIKAZE, 3, 4, ACROSS)))
+    plain = message_to_episode(message_of(EpisodeSpec(CROSSING, Mode.KAMIKAZE, 3, 4, ACROSS)))
     assert plain.maximum_distance is None
 
 

@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -29,7 +29,7 @@ class Twin(WorldSimulator):
     repeats_itself = True
     own_contact = math.nan
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         car = replace(episode.scenario.car, speed_noise=0.0, acceleration_noise=0.0)
         return super().reset(replace(episode, scenario=replace(episode.scenario, car=car)))
 
@@ -44,7 +44,7 @@ def twin(monkeypatch):
 
 def log(outcome: Outcome, impact: float, own: float | None) -> EpisodeLog:
     phi = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step)
-    episode = Episode(CROSSING, Mode.REPLAY, 0, 0, safe_trajectory=phi)
+    episode = EpisodeSpec(CROSSING, Mode.REPLAY, 0, 0, safe_trajectory=phi)
     return EpisodeLog(episode, outcome, np.zeros((2, 2)), np.zeros((2, 3)), impact, 5.0, own_contact=own)
 
 

@@ -9,11 +9,11 @@ import pytest
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, SimulatorError, WorldSimulator
-from skd_sim.world.episode import AbortKind, Episode, Mode, Outcome
+from skd_sim.world.episode import AbortKind, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.world import Contact
 
-EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 3, 1, simulations=40)
+EPISODE = EpisodeSpec(load_scenario("crossing"), Mode.SAFE, 3, 1, simulations=40)
 
 
 class Scripted:
@@ -24,7 +24,7 @@ class Scripted:
     def __init__(self) -> None:
         self.told: list[tuple[float, tuple[float, float]]] = []
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         self._adversary = AdversaryState(*episode.start, 0.0, 0.0)
         return Frame(0, CarState(0.0, -20.0, math.pi / 2, 5.0), self._adversary)
 

@@ -22,7 +22,7 @@ from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.deviation import Hit
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -45,11 +45,12 @@ def assert_free(scenario: Scenario, points: np.ndarray, radius: float) -> None:
             assert np.hypot(*away.T).min() >= radius - 1e-9, (begin, end)
 
 
-def episodes(scenario: Scenario, count: int, **further: object) -> list[Episode]:
+def episodes(scenario: Scenario, count: int, **further: object) -> list[EpisodeSpec]:
     phi = Trajectory(np.array([(-3.5 + 0.75 * k, 0.0) for k in range(9)]), scenario.time_step, "straight")
     return [
         replace(
-            Episode(scenario, Mode.KAMIKAZE, 3, episode_id(Stage.KAMIKAZE, 0, number), safe_trajectory=phi), **further
+            EpisodeSpec(scenario, Mode.KAMIKAZE, 3, episode_id(Stage.KAMIKAZE, 0, number), safe_trajectory=phi),
+            **further,
         )
         for number in range(count)
     ]
@@ -111,7 +112,7 @@ def test_cyclists_brake_or_have_missed() -> None:
     scenario = scenario_from_dict({**cyclist.as_dict(), "obstacles": cars})
     phi = Trajectory(np.array([(-9.0 + 0.9 * k, 0.0) for k in range(18)]), scenario.time_step, "straight")
     for number in range(6):
-        log = run_episode(Episode(scenario, Mode.KAMIKAZE, 3, number, safe_trajectory=phi, simulations=300))
+        log = run_episode(EpisodeSpec(scenario, Mode.KAMIKAZE, 3, number, safe_trajectory=phi, simulations=300))
         walked = log.trajectory.positions if np.isfinite(log.impact_time) else log.adversary[:-1]
         assert_free(scenario, walked, scenario.adversary.core)
 

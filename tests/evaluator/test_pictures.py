@@ -25,7 +25,7 @@ from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.charts import save_sweep
 from skd_evaluator.report.pictures import save_trajectories
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -44,7 +44,7 @@ def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> Ob
     for k, (phi, count) in enumerate(zip(safe, counts, strict=True)):
         logs = []
         for i in range(count):
-            episode = Episode(CROSSING, Mode.KAMIKAZE, 0, 1000 * k + i, safe_trajectory=phi)
+            episode = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, 1000 * k + i, safe_trajectory=phi)
             walked = phi.positions[:6] + np.cumsum(rng.normal(0.0, 0.2, (6, 2)), axis=0)
             car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full(6, 8.0)])
             logs.append(EpisodeLog(episode, Outcome.COLLISION, walked, car, 1.4, 5.0))

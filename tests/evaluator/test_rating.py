@@ -19,7 +19,7 @@ from skd_evaluator.report.presentation import picture_names
 from skd_evaluator.report.terminal import headline_table
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from stages import rate
 from test_campaign import StubRunner, straight, trial
 from test_warnings import shown
@@ -149,7 +149,7 @@ def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
 
 
 def impacts(*speeds: float) -> list[EpisodeLog]:
-    episode = Episode(CROSSING, Mode.REPLAY, 0, 0, safe_trajectory=straight())
+    episode = EpisodeSpec(CROSSING, Mode.REPLAY, 0, 0, safe_trajectory=straight())
     return [EpisodeLog(episode, Outcome.COLLISION, np.zeros((2, 2)), np.zeros((2, 3)), 0.2, speed) for speed in speeds]
 
 

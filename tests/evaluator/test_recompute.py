@@ -26,7 +26,7 @@ from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, abort_reason, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Mode, Outcome, abort_reason, kind_of
 from skd_sim.world.state import Trajectory
 from stages import rate, with_margins, with_risks
 
@@ -65,7 +65,7 @@ class SometimesAborts:
         self._runner = runner
         self._count = 0
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         for log in self._runner.run(episodes):
             self._count += 1
             lost = abort_reason((AbortKind.ENDED, AbortKind.NO_ANSWER)[self._count % 2], "as a test wants it")

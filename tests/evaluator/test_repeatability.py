@@ -33,7 +33,7 @@ from skd_sim.errors import AssessmentError
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.scenario.scenario_file import shipped_scenarios
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.timing import Timing
 
@@ -54,7 +54,7 @@ class Runner:
         self._controller = controller
         self.logs: list[EpisodeLog] = []
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         for episode in episodes:
             self.logs.append(run_episode(episode, self._controller))
             yield self.logs[-1]
@@ -80,7 +80,7 @@ class Car:
         return 0.1 * self._rng.random() - brake - self._more
 
 
-def warnings(make: Callable[[], Controller], episodes: Sequence[Episode] = EPISODES) -> tuple[str, ...]:
+def warnings(make: Callable[[], Controller], episodes: Sequence[EpisodeSpec] = EPISODES) -> tuple[str, ...]:
     """Return what is said of a car of which each process has an object of its own."""
 
     def fresh() -> AbstractContextManager[Runner]:
@@ -110,12 +110,12 @@ def test_rounding_is_no_difference() -> None:
 
 def test_a_car_that_fails_when_it_is_run_again_is_not_credible() -> None:
     class Failing:
-        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
             raise AssessmentError("controller a.b:C: command failed")
             yield
 
     class Lost(Runner):
-        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
             yield from (aborted(one, "the process ended") for one in episodes)
 
     logs = list(Runner(Car()).run(EPISODES[4:]))
@@ -173,7 +173,7 @@ class Driven:
     def __init__(self, *speeds: float) -> None:
         self._speeds = speeds
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         for episode, last in zip(episodes, self._speeds, strict=True):
             assert episode.safe_trajectory is not None
             way = episode.safe_trajectory.positions
@@ -230,7 +230,7 @@ def run(speeds: list[float], away: float, scenario: Scenario = CROSSING, outcome
     """A run in which the front of the car is so far from the adversary, aside and ahead, all the time."""
     car = np.column_stack([np.full(len(speeds), 1.5), np.linspace(-40.0, -30.0, len(speeds)), speeds])
     adversary = car[:, :2] + (away + scenario.car.front + scenario.adversary.reach) * np.array([0.6, 0.8])
-    episode = Episode(scenario, Mode.REPLAY, 1, 1, safe_trajectory=Trajectory(adversary, scenario.time_step))
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 1, 1, safe_trajectory=Trajectory(adversary, scenario.time_step))
     return EpisodeLog(episode, outcome, adversary, car, 1.0, 4.0, reason="failed: x")
 
 

@@ -25,7 +25,7 @@ from skd_sim.controllers import Controller
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 WALKERS = load_behaviour("walkers")
@@ -158,6 +158,6 @@ def ended(car: list[list[float]], share: float, impact: float, **changes: object
     scenario = replace(CROSSING, **changes)
     walk = np.column_stack([np.linspace(-1.0, 0.0, len(car)), np.zeros(len(car))])
     phi = Trajectory(walk, scenario.time_step)
-    episode = Episode(scenario, Mode.REPLAY, 1, 1, safe_trajectory=phi)
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 1, 1, safe_trajectory=phi)
     time = (len(car) - 2 + share) * scenario.time_step
     return EpisodeLog(episode, Outcome.COLLISION, walk, np.array(car), time, impact)

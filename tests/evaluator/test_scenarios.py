@@ -25,7 +25,7 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator, FrameSource
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
@@ -44,7 +44,9 @@ def replays(scenario: Scenario, count: int, *, controller: str = "basic", C: flo
     phi = across(scenario)
     numbers = [episode_id(Stage.NOMINAL, 0, trial) for trial in range(count)]
     return [
-        run_episode(Episode(scenario, Mode.REPLAY, 0, number, controller=controller, multiplier=C, safe_trajectory=phi))
+        run_episode(
+            EpisodeSpec(scenario, Mode.REPLAY, 0, number, controller=controller, multiplier=C, safe_trajectory=phi)
+        )
         for number in numbers
     ]
 
@@ -92,7 +94,7 @@ def test_the_agent_of_carla_drives_around_the_corner(scenario: Scenario) -> None
 def test_who_cannot_do_it_says_so() -> None:
     with pytest.raises(UsageError, match="controller cal has learned hazards on straight roads"):
         replays(replace(RIGHT_TURN, control_period=0.05), 1, controller="cal")
-    episode = Episode(RIGHT_TURN, Mode.REPLAY, 0, 0, safe_trajectory=across(RIGHT_TURN))
+    episode = EpisodeSpec(RIGHT_TURN, Mode.REPLAY, 0, 0, safe_trajectory=across(RIGHT_TURN))
     with pytest.raises(UsageError, match="another simulator cannot be told yet"):
         FramedSimulator(cast(FrameSource, None)).reset(episode)  # before its source is asked anything
     assert not any(has_exact_margin(CarUnderTest("basic"), scenario) for scenario in (RIGHT_TURN, WITH_BOX))

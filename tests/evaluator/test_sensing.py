@@ -15,13 +15,13 @@ from skd_sim.controllers import SensingController
 from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.sensors import PlanarLaser, Scan
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-3.5 + 0.75 * tick, 0.0) for tick in range(8)]), CROSSING.time_step)
-EPISODE = Episode(CROSSING, Mode.REPLAY, 5, 77, controller="somebody's", safe_trajectory=ACROSS)
+EPISODE = EpisodeSpec(CROSSING, Mode.REPLAY, 5, 77, controller="somebody's", safe_trajectory=ACROSS)
 
 
 class Blind:

@@ -116,7 +116,7 @@ def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
 
 def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray) -> np.ndarray:
     from skd_evaluator.assessment.run.episodes import run_episode
-    from skd_sim.world.episode import Episode, Mode
+    from skd_sim.world.episode import EpisodeSpec, Mode
     from skd_sim.world.state import Trajectory
 
     speeds: list[float] = [float(states[0, 3])]
@@ -130,7 +130,7 @@ def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray)
     shown.step = keep  # type: ignore[method-assign]
     collision = replace(world.collision, minimum_impact_speed=60.0)
     run_episode(
-        Episode(replace(world, collision=collision), Mode.REPLAY, 0, 0, Trajectory(other, world.time_step, "walk")),
+        EpisodeSpec(replace(world, collision=collision), Mode.REPLAY, 0, 0, Trajectory(other, world.time_step, "walk")),
         simulator=shown,
     )
     x, y = np.array(shown.places).T

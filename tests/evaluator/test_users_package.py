@@ -91,10 +91,10 @@ import json, sys
 import numpy as np
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim import Episode, Mode, Trajectory, load_scenario
+from skd_sim import EpisodeSpec, Mode, Trajectory, load_scenario
 scenario = Plan(load_scenario("cargo_bike.yaml")).scenario
 phi = Trajectory(np.column_stack([-8.0 + 1.2 * np.arange(12), np.zeros(12)]), scenario.time_step)
-log = run_episode(Episode(scenario, Mode.KAMIKAZE, 0, 1, multiplier=0.5, safe_trajectory=phi, simulations=60))
+log = run_episode(EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 1, multiplier=0.5, safe_trajectory=phi, simulations=60))
 json.dump(log.adversary.tolist(), sys.stdout)
 """
 

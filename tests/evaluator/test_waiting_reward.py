@@ -18,7 +18,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -32,9 +32,9 @@ class Played:
     """Has kamikazes stray so far, in m, by how they wait: who strays nowhere does not hit."""
 
     def __init__(self, strayed: Mapping[float, Sequence[float]]) -> None:
-        self.strayed, self.asked = strayed, list[tuple[float, list[Episode]]]()
+        self.strayed, self.asked = strayed, list[tuple[float, list[EpisodeSpec]]]()
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         reward = fitted_car(episodes[0].car_model).waiting_reward
         assert reward is not None
         self.asked.append((reward, list(episodes)))
@@ -88,7 +88,7 @@ def test_trials_that_are_aborted_do_not_count_unless_all_are() -> None:
 @pytest.mark.parametrize("car", [LAW, FOREST])
 def test_kamikazes_plan_with_it(car: FittedCar) -> None:
     said = dataclasses.replace(car, waiting_reward=-0.3)
-    episode = Episode(
+    episode = EpisodeSpec(
         CROSSING, Mode.KAMIKAZE, 0, 0, STANDS, knowledge=Knowledge.LEARNED, car_model=car_model_text(said)
     )
     assert predicted_car(episode).parameters(CROSSING)["waiting_reward"] == -0.3

@@ -17,7 +17,7 @@ from skd_sim.controllers import Controller, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -79,7 +79,7 @@ def test_it_asks_for_no_more_than_its_library_allows(car):
 def test_in_an_episode_it_stops_before_who_stands_on_the_lane():
     scenario = with_control_period(replace(CROSSING, horizon=6.0), HighwayIdm.control_period, "highway_idm")
     standing = Trajectory(np.tile([-1.0, 4.0], (21, 1)), scenario.time_step, "standing")
-    log = run_episode(Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=standing), HighwayIdm())
+    log = run_episode(EpisodeSpec(scenario, Mode.REPLAY, 0, 0, safe_trajectory=standing), HighwayIdm())
     assert log.outcome != Outcome.COLLISION
     assert log.car[-1, 2] < 0.5
     assert log.car[-1, 1] < 4.0 - scenario.car.front

@@ -16,7 +16,7 @@ from skd_sim.controllers import Controller, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from sumo_drivers import EGO, LANE, LANE_END, PERSON, STEP, Eidm, Idm, Krauss, SumoDriver
 
@@ -111,7 +111,7 @@ def test_in_an_episode_it_stops_at_sumos_least_gap_before_who_stands_on_the_lane
     quiet = replace(CROSSING, horizon=12.0, car=replace(CAR, speed_noise=0.0, acceleration_noise=0.0))
     scenario = with_control_period(quiet, kind.control_period, "sumo_drivers")
     standing = Trajectory(np.tile([0.5, 6.0], (41, 1)), scenario.time_step, "standing")
-    log = run_episode(Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=standing), kind())
+    log = run_episode(EpisodeSpec(scenario, Mode.REPLAY, 0, 0, safe_trajectory=standing), kind())
     assert log.outcome != Outcome.COLLISION
     gap = 6.0 - RADIUS - (log.car[-1, 1] + scenario.car.front)
     assert log.car[-1, 2] < 0.1

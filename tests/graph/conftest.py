@@ -25,7 +25,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
 SIMULATIONS = 300
 
@@ -109,18 +109,18 @@ def plan(safe: Path) -> Plan:
 
 
 @pytest.fixture(scope="session")
-def episode(plan: Plan) -> Episode:
+def episode(plan: Plan) -> EpisodeSpec:
     """Its first kamikaze episode."""
     return single_episode(plan, Mode.KAMIKAZE, 0, safe_trajectories(plan, InProcessRunner(1))[0])
 
 
 @pytest.fixture(scope="session")
-def replay(plan: Plan) -> Episode:
+def replay(plan: Plan) -> EpisodeSpec:
     """Its first run along the safe trajectory."""
     return single_episode(plan, Mode.REPLAY, 0, safe_trajectories(plan, InProcessRunner(1))[0])
 
 
 @pytest.fixture(scope="session")
-def expected(episode: Episode) -> EpisodeLog:
+def expected(episode: EpisodeSpec) -> EpisodeLog:
     """What becomes of the kamikaze episode."""
     return run_episode(episode)

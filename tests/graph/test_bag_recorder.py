@@ -19,7 +19,7 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.ros.commands import message_class
 from skd_sim.ros.support import ADVERSARY_ODOMETRY, CLOCK, EGO_ODOMETRY
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 from skd_sim.world.timing import period_stamp, tick_stamp
 
@@ -65,7 +65,7 @@ def test_the_command_that_ended_the_episode_is_waited_for(tmp_path: Path, until:
         recorder.keep(DRIVE, COMMAND, awaited.pop(), b"")
 
     recorder.settle(
-        Episode(scenario, Mode.SAFE, 0, 0), EpisodeEnd(Outcome.ARRIVED, TICKS, math.nan, math.nan, ""), listen
+        EpisodeSpec(scenario, Mode.SAFE, 0, 0), EpisodeEnd(Outcome.ARRIVED, TICKS, math.nan, math.nan, ""), listen
     )
     assert not awaited
     assert [kept.stamp for kept in recorder._messages if kept.topic == DRIVE] == stamps
@@ -84,7 +84,7 @@ def test_an_episode_that_is_run_again_has_one_bag(tmp_path: Path) -> None:
     )
     scenario = load_scenario("crossing")
     phi = Trajectory(np.zeros((4, 2)), scenario.time_step)
-    episode = Episode(scenario, Mode.REPLAY, 0, episode_id(Stage.NOMINAL, 0, 1), phi)
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 0, episode_id(Stage.NOMINAL, 0, 1), phi)
     way = dataclasses.replace(episode, episode_id=episode_id(Stage.RISK, 0, 1))
     assert recorder.takes(episode)
     assert not recorder.takes(way)

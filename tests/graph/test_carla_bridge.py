@@ -45,7 +45,7 @@ from skd_sim.ros_environment.installation import MessagePackage, build_messages,
 from skd_sim.ros_environment.variables import is_sourced
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.carla import Placement
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 
@@ -161,7 +161,7 @@ class StandIn(Node):
 class Others(Node):
     """Evaluator, controller and adversary in one: one episode, the same command in each tick."""
 
-    def __init__(self, episode: Episode, acceleration: float) -> None:
+    def __init__(self, episode: EpisodeSpec, acceleration: float) -> None:
         super().__init__("others")
         self.start = 5_000_000_000
         self.acceleration = acceleration
@@ -191,7 +191,7 @@ class Others(Node):
 
 
 def run(
-    messages: Any, episode: Episode, acceleration: float, *, others_there: tuple[str, ...] = ()
+    messages: Any, episode: EpisodeSpec, acceleration: float, *, others_there: tuple[str, ...] = ()
 ) -> tuple[Any, Others, StandIn]:
     """Run one episode to its result, with some actors in the map beside car and adversary."""
     x, y, yaw = PLACE
@@ -231,10 +231,10 @@ def spin(executor: SingleThreadedExecutor, done: threading.Event) -> None:
         executor.spin_once(timeout_sec=0.05)
 
 
-def _episode(gap: float) -> Episode:
+def _episode(gap: float) -> EpisodeSpec:
     base = load_scenario("crossing")
     car = replace(base.car, speed_noise=0.0, acceleration_noise=0.0, start_gap=gap)
-    return Episode(replace(base, car=car), Mode.SAFE, 3, 4)
+    return EpisodeSpec(replace(base, car=car), Mode.SAFE, 3, 4)
 
 
 @pytest.mark.parametrize("gap", [9.0, 30.0])
@@ -264,11 +264,11 @@ def test_an_episode_ends_as_in_the_world(messages: Any, gap: float) -> None:
     assert stand_in.pedals_seen == {(0.0, 0.0)}
 
 
-def _same_car(name: str, **changes: Any) -> Episode:
+def _same_car(name: str, **changes: Any) -> EpisodeSpec:
     """A shipped scenario whose car drives on without noise, far away."""
     base = load_scenario(name)
     car = replace(base.car, speed_noise=0.0, acceleration_noise=0.0, start_gap=60.0)
-    return Episode(replace(base, car=car, **changes), Mode.SAFE, 3, 4)
+    return EpisodeSpec(replace(base, car=car, **changes), Mode.SAFE, 3, 4)
 
 
 def test_who_does_not_walk_is_put_where_its_velocity_takes_it(messages: Any) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
-from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Outcome, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, kind_of
 
 COME_LATE = 5000  # episodes: some ten seconds, within which a node that has been started is there
 LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0, "slip_limit": PATIENCE}}
@@ -19,7 +19,7 @@ def run(
     context: ForkServerContext,
     domain: int,
     folder: Path,
-    episode: Episode,
+    episode: EpisodeSpec,
     *others: tuple[str, dict[str, object]],
     ours: tuple[str, ...] = (CONTROLLER, ADVERSARY),
     count: int = 2,
@@ -45,7 +45,7 @@ def run(
     ],
 )
 def test_two_senders(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, module: str, topic: str, pacing: str
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, module: str, topic: str, pacing: str
 ) -> None:
     """Which of them would be heard depends on timing; the second one is refused though it says the same.
 
@@ -60,7 +60,7 @@ def test_two_senders(
 
 @pytest.mark.parametrize(("kind", "how"), [("twice", "different commands"), ("echo", "the same command")])
 def test_two_answers_a_tick(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, kind: str, how: str
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, kind: str, how: str
 ) -> None:
     for log in run(context, domain, tmp_path, replay, (kind, {}), ours=(ADVERSARY,)):
         assert log.outcome == Outcome.ABORTED
@@ -70,7 +70,7 @@ def test_two_answers_a_tick(
 
 
 def test_answers_to_a_tick_that_is_repeated(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec
 ) -> None:
     """A node without a state of its own answers each repetition of tick 0 again."""
     log = run(context, domain, tmp_path, replay, ("patient", {}), ours=(CONTROLLER,))[0]
@@ -90,7 +90,7 @@ def test_answers_to_a_tick_that_is_repeated(
     ],
 )
 def test_the_reason_names_the_fault(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, kind: str, told: AbortKind, said: str
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, kind: str, told: AbortKind, said: str
 ) -> None:
     log = run(context, domain, tmp_path, replay, (kind, {}), ours=(ADVERSARY,), startup_timeout=3.0)[1]
     assert log.outcome == Outcome.ABORTED

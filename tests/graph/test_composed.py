@@ -32,7 +32,7 @@ from skd_sim.options.car_under_test import WORLD
 from skd_sim.ros import support
 from skd_sim.ros.commands import message_class
 from skd_sim.ros.from_messages import from_stamp
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.timing import NANOSECONDS
 from tf2_msgs.msg import TFMessage
 
@@ -131,7 +131,7 @@ def has_come(told: Told, stamp: int) -> bool:
     return all(any(time >= stamp for time, _ in [*told[topic]]) for topic in HEARD)
 
 
-def run(evaluator: Any, domain: int, bags: Path, episodes: list[Episode], begin: int) -> Ran:
+def run(evaluator: Any, domain: int, bags: Path, episodes: list[EpisodeSpec], begin: int) -> Ran:
     """Run episodes with a listener, who hears all topics by then, from a stamp (ns) on; the last is not looked at."""
     with listening(domain) as told:
 
@@ -196,7 +196,7 @@ def test_where_nodes_run(changes: dict[str, Any], simulator: str, composed: bool
     assert GraphOptions(**{"nodes": "composed", **changes}).composes(simulator) == composed
 
 
-def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: Episode, replay: Episode) -> None:
+def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: EpisodeSpec, replay: EpisodeSpec) -> None:
     """In process, composed and separate are the same, and who listens hears and records the same."""
     lines = " ".join(pids_with(graph.token).values())
     assert "car_controller" in lines
@@ -225,7 +225,7 @@ def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: Episode, 
     assert {topic.lstrip("/") for topic in composed.heard} == {topic.lstrip("/") for topic in HEARD}
 
 
-def test_somebody_else_who_speaks(graph: Graph, episode: Episode) -> None:
+def test_somebody_else_who_speaks(graph: Graph, episode: EpisodeSpec) -> None:
     """Whoever publishes what is the nodes' own, is named, although none of them listens to it."""
     evaluator = graph.evaluator
     with somebody(graph.domain) as node:

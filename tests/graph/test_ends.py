@@ -16,7 +16,7 @@ from common import PATIENCE, new_domain, wait_until
 from graph_support import assert_all_gone, in_domain, whole_graph
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.ros import processes
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 HANGS = """
 import ctypes, pathlib, sys
@@ -82,7 +82,7 @@ def test_a_node_whose_end_hangs(tmp_path: Path) -> None:
 
 
 def test_a_controller_whose_end_hangs(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], episode: Episode, expected: EpisodeLog
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], episode: EpisodeSpec, expected: EpisodeLog
 ) -> None:
     """It is killed after two seconds, and a line says so; nothing else waits for it."""
     marker = tmp_path / "hangs"

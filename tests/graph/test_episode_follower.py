@@ -11,7 +11,7 @@ from skd_sim.ros.from_messages import message_to_episode
 from skd_sim.ros.support import EpisodeFollower
 from skd_sim.ros.to_messages import episode_to_message
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.timing import NANOSECONDS, period_stamp
 
 START = NANOSECONDS
@@ -40,11 +40,11 @@ class Node:
     def get_logger(self) -> SimpleNamespace:
         return SimpleNamespace(error=pytest.fail)
 
-    def _begin(self, episode: Episode) -> None:
+    def _begin(self, episode: EpisodeSpec) -> None:
         self.begun.append(episode.seed)
 
     def episode(self, seed: int, start: int = START) -> None:
-        self._on_episode(episode_to_message(Episode(self._scenario, Mode.SAFE, seed, 0), f"campaign-{seed}", start))
+        self._on_episode(episode_to_message(EpisodeSpec(self._scenario, Mode.SAFE, seed, 0), f"campaign-{seed}", start))
 
     def state(self, tick: int, item: int, start: int = START, *, period: int = 0) -> None:
         periods = self._scenario.control_periods

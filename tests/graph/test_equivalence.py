@@ -23,12 +23,12 @@ from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 
-def episodes(name: str, objective: Objective) -> list[Episode]:
+def episodes(name: str, objective: Objective) -> list[EpisodeSpec]:
     """Four trials of each mode at each of three multipliers."""
     scenario = load_scenario(name)
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
@@ -49,7 +49,7 @@ def evaluator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Evaluator]:
         yield evaluator
 
 
-def same_through_the_graph(evaluator: Evaluator, wanted: list[Episode]) -> list[EpisodeLog]:
+def same_through_the_graph(evaluator: Evaluator, wanted: list[EpisodeSpec]) -> list[EpisodeLog]:
     """Run episodes through a graph, and return their logs, which are those of the plain loop."""
     expected = [run_episode(episode) for episode in wanted]
     logs = list(evaluator.run(wanted))

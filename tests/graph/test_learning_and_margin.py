@@ -25,7 +25,7 @@ from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
 from skd_sim.controllers import BasicController
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
 BASIC = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p", "controller:=basic"]
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
@@ -90,7 +90,7 @@ class Counted:
     def __init__(self, runner) -> None:
         self.runner, self.logs = runner, []
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         for log in self.runner.run(episodes):
             self.logs.append(log)
             yield log

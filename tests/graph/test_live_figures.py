@@ -14,7 +14,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.ros.visualization import recorded_figures
 from skd_sim.ros.support import CLEARANCE, DEVIATION
 from skd_sim.scenario.road import road_pose
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from std_msgs.msg import Float64
 
 
@@ -26,7 +26,7 @@ def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
     return found[CLEARANCE], found[DEVIATION]
 
 
-def test_figures_of_a_recording(expected: EpisodeLog, replay: Episode) -> None:
+def test_figures_of_a_recording(expected: EpisodeLog, replay: EpisodeSpec) -> None:
     scenario, log = expected.episode.scenario, expected
     assert log.episode.safe_trajectory is not None
     apart, strayed = figures_of(log)
@@ -46,7 +46,7 @@ def test_figures_of_a_recording(expected: EpisodeLog, replay: Episode) -> None:
     assert along == pytest.approx([0.0] * len(along), abs=1e-9)
 
 
-def test_a_belief_is_odometry_along_the_road(replay: Episode) -> None:
+def test_a_belief_is_odometry_along_the_road(replay: EpisodeSpec) -> None:
     message = belief_to_odometry(BelievedCar(-7.0, 0.5, 6.0, 0.25), replay, 3_000_000_000)
     x, y, heading = road_pose(replay.scenario.road.line, -7.0)
     place, turn = message.pose.pose.position, message.pose.pose.orientation

@@ -10,7 +10,7 @@ from graph_nodes import evaluator
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import refuted
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import CarState
 
 
@@ -27,7 +27,7 @@ def test_states_of_a_node_that_is_gone(domain: int, tmp_path: Path) -> None:
     )
 
 
-def test_another_simulator_is_not_held_to_the_laws_of_this_world(replay: Episode) -> None:
+def test_another_simulator_is_not_held_to_the_laws_of_this_world(replay: EpisodeSpec) -> None:
     """SKD has started either: what follows from the seed is what the simulator that was asked for gives."""
     log = run_episode(replay)
     car = log.car.copy()

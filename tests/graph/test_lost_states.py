@@ -13,7 +13,7 @@ from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
 
 """The car's decisions in a tick: an episode of nine ticks has some 800 states."""
 
@@ -27,7 +27,7 @@ def graph(context: ForkServerContext, domain: int, folder: Path) -> Iterator[Eva
 
 
 def test_what_is_lost_all_the_same_is_said_and_soon(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, monkeypatch: pytest.MonkeyPatch
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluator_module, "_LOST", 1.0)
     with graph(context, domain, tmp_path) as node:

@@ -12,7 +12,7 @@ from skd_evaluator.assessment.run.assembly import Samples
 from skd_evaluator.ros.visualization import episode_markers
 from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from visualization_msgs.msg import Marker
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
@@ -24,7 +24,9 @@ def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[fl
         samples.car[0] = (*car, 5.0)
     for stamp, place in enumerate(walked):
         samples.adversary[stamp] = place
-    return {marker.type: marker for marker in episode_markers(Episode(scenario, Mode.SAFE, 0, 0), samples, 0).markers}
+    return {
+        marker.type: marker for marker in episode_markers(EpisodeSpec(scenario, Mode.SAFE, 0, 0), samples, 0).markers
+    }
 
 
 def heading(marker: Marker) -> float:

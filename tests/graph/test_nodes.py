@@ -27,12 +27,12 @@ from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator_node import EvaluatorProcess
 from skd_sim.ros.controller_node import CarController
 from skd_sim.ros.simulator_node import VehicleSimulator
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 
 # --- pacing
 
 
-def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Episode) -> None:
+def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: EpisodeSpec) -> None:
     rate = 4.0
     options = GraphOptions(pacing="real_time", rate_factor=rate, slip_limit=PATIENCE)
     with whole_graph(tmp_path, options, record_to=tmp_path / "bags") as (node, _):
@@ -54,7 +54,7 @@ def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Epis
 
 
 @pytest.mark.parametrize("stamped", [True, False])
-def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, stamped: bool) -> None:
+def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: EpisodeSpec, stamped: bool) -> None:
     target = 5.0
     command = [sys.executable, str(HERE / "fake_nodes.py"), "speed", "--ros-args"]
     command += ["-p", f"stamped:={str(stamped).lower()}", "-p", f"target:={target}"]
@@ -139,7 +139,7 @@ def test_an_unknown_parameter_is_warned_of(
 
 @pytest.mark.parametrize(("then", "reason"), [("nan", "commanded nan"), ("silence", "silent")])
 def test_an_adversary_that_fails(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, then: str, reason: str
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, then: str, reason: str
 ) -> None:
     log = run_with_adversary(context, domain, tmp_path, replay, then)
     assert log.outcome == Outcome.ABORTED
@@ -151,7 +151,7 @@ def test_an_adversary_that_fails(
 
 
 def run_with_adversary(
-    context: ForkServerContext, domain: int, folder: Path, episode: Episode, then: str
+    context: ForkServerContext, domain: int, folder: Path, episode: EpisodeSpec, then: str
 ) -> EpisodeLog:
     """Run an episode with an adversary of somebody else's."""
     nodes = running(
@@ -166,7 +166,7 @@ def run_with_adversary(
 
 
 def test_nobody_walks(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, monkeypatch: pytest.MonkeyPatch
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(evaluator_module, "_FIRST_DISCOVERY", 3.0)
     nodes = running(
@@ -185,7 +185,7 @@ def test_nobody_walks(
     assert_same_log(read_episodes([tmp_path / "bags"])[0].log, log)
 
 
-def test_nobody_simulates(domain: int, tmp_path: Path, replay: Episode) -> None:
+def test_nobody_simulates(domain: int, tmp_path: Path, replay: EpisodeSpec) -> None:
     with evaluator(tmp_path / "bags", silence_limit=0.5) as node:
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED

@@ -21,7 +21,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
 from skd_sim.world.state import AdversaryState, CarState
 
 STALL = 0.5  # s
@@ -47,7 +47,7 @@ class Near:
         return -3.0 if where > -9.0 else 0.0
 
 
-def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: Episode) -> None:
+def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: EpisodeSpec) -> None:
     """It knows nothing of ticks, and yet it drives as its law has it, at most a period late.
 
     The clock and the states are topics of their own: which of them it hears first is up to its executor.
@@ -86,7 +86,7 @@ def stall(evaluator: Evaluator, token: str) -> None:
     os.kill(pid, signal.SIGCONT)
 
 
-def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Path, replay: Episode) -> None:
+def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Path, replay: EpisodeSpec) -> None:
     options = GraphOptions(pacing="real_time", rate_factor=3.0, slip_limit=0.5 * STALL)
     wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(12)]
     with whole_graph(tmp_path, options, record_to=tmp_path / "bags") as (evaluator, token):

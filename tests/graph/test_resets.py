@@ -30,12 +30,12 @@ from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros import stack as stack_module
 from skd_evaluator.ros.graph import is_in_use
 from skd_evaluator.ros.stack import LifecycleNodes
-from skd_sim.world.episode import Episode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Outcome
 
 NAME = "/latching_brake"
 
 
-def test_a_managed_node_forgets(tmp_path: Path, replay: Episode) -> None:
+def test_a_managed_node_forgets(tmp_path: Path, replay: EpisodeSpec) -> None:
     """It brakes for ever once it has braked, unless it is cleaned up; and it is told where each episode starts."""
     options = GraphOptions(
         controller_command=shlex.join([sys.executable, str(HERE / "managed_node.py")]),
@@ -180,7 +180,7 @@ def test_a_domain_in_which_any_port_is_held_is_not_free(port: int) -> None:
         assert is_in_use(domain)
 
 
-def test_graphs_side_by_side(tmp_path: Path, replay: Episode) -> None:
+def test_graphs_side_by_side(tmp_path: Path, replay: EpisodeSpec) -> None:
     """Which graph runs an episode, and that its controller is a new one each time, changes nothing."""
     options = GraphOptions(graphs=2, reset="restart")
     wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(5)]

@@ -34,7 +34,7 @@ from graph_support import (
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 
 STAGGER = 0.1  # s between two starts
 AT_ONCE = 4  # graphs
@@ -110,7 +110,7 @@ def kill(pid: int, number: int) -> None:
     wait_until(lambda: is_dead(pid), f"the end of {pid}")
 
 
-def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:
+def test_restarted_between_episodes(tmp_path: Path, episode: EpisodeSpec, expected: EpisodeLog) -> None:
     with whole_graph(tmp_path, GraphOptions(nodes="separate")) as (evaluator, token):
         assert_same_log(evaluator.run_episode(episode), expected)
         for node in ("car_controller", "adversary", "vehicle_simulator"):
@@ -119,7 +119,7 @@ def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: 
 
 
 def test_somebody_elses_controller_comes_and_goes(
-    context: ForkServerContext, tmp_path: Path, episode: Episode, expected: EpisodeLog
+    context: ForkServerContext, tmp_path: Path, episode: EpisodeSpec, expected: EpisodeLog
 ) -> None:
     """Nobody watches it: its silence is what ends the episode, and the next one takes whoever is there then."""
     domain = new_domain()

@@ -13,7 +13,7 @@ from common import wait_until
 from graph_support import of_node, whole_graph
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
-from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_what_can_never_start_is_not_started_again_and_again(tmp_path: Path, pro
     assert len(said) == 1
 
 
-def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episode) -> None:
+def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: EpisodeSpec) -> None:
     """It runs, but hangs: a controller whose command waits for ever, and does not listen to signals either."""
     code = (
         "import signal, sys; [signal.signal(n, signal.SIG_IGN) for n in (2, 15)]; import rclpy; rclpy.init();"

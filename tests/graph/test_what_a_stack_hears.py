@@ -21,7 +21,7 @@ from skd_sim.options.options import StateOptions
 from skd_sim.ros.state_publisher import StatePublisher
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.timing import period_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -41,15 +41,15 @@ RELIABLE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def sharp(name: str, **changes: Any) -> Episode:
+def sharp(name: str, **changes: Any) -> EpisodeSpec:
     """An episode whose laser has no noise, with ten states a second and more."""
     scenario = load_scenario(name)
     assert scenario.sensor is not None
     sensor = dataclasses.replace(scenario.sensor, range_noise=0.0, dropout=0.0)
-    return Episode(dataclasses.replace(scenario, sensor=sensor, control_period=0.05, **changes), Mode.SAFE, 0, 0)
+    return EpisodeSpec(dataclasses.replace(scenario, sensor=sensor, control_period=0.05, **changes), Mode.SAFE, 0, 0)
 
 
-def states(episode: Episode, count: int) -> list[tuple[Frame, int]]:
+def states(episode: EpisodeSpec, count: int) -> list[tuple[Frame, int]]:
     """Frames and stamps of a car that brakes and an adversary who walks."""
     simulator, scenario = WorldSimulator(), episode.scenario
     frames = [simulator.reset(episode)]

@@ -16,12 +16,12 @@ from skd_evaluator.assessment.stages.car_model import own_trials
 from skd_evaluator.ros.recording import bag_name
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 CAR = fitted_car(any_car_models()[0])
 
 
-def _trials(log: EpisodeLog) -> list[Episode]:
+def _trials(log: EpisodeLog) -> list[EpisodeSpec]:
     """Kamikazes of one id that wait in two ways."""
     plan = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=2)
     phi = log.episode.safe_trajectory

@@ -19,7 +19,7 @@ from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator
 from skd_sim.world.dynamics.basic import CommandLimits
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 from skd_sim.world.timing import Timing
 
@@ -66,7 +66,7 @@ class Rolling:
         return self._car, self._adversary
 
 
-def framed(episode: Episode, off: float) -> EpisodeLog:
+def framed(episode: EpisodeSpec, off: float) -> EpisodeLog:
     """An episode in a simulator with frames of 50 ms, as `carla_bridge` counts them."""
     return run_episode(episode, simulator=FramedSimulator(Rolling(off)))
 
@@ -134,7 +134,7 @@ class _Held:
 
     depletions = 0
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: EpisodeSpec) -> None:
         self._inner = make_adversary(episode)
         self._last: tuple[float, float] | None = None
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory
 
 CROSSING = load_scenario("crossing")  # path edge 1.15 m
@@ -30,8 +30,8 @@ def test_entry_time_in_steps(x: tuple[float, ...], expected: float) -> None:
     assert CROSSING.end.entry_time(_along(*x)) == pytest.approx(0.3 * expected, abs=1e-12)
 
 
-def _episode(mode: Mode, scenario: Scenario = CROSSING, phi: Trajectory | None = None) -> Episode:
-    return Episode(scenario, mode, seed=0, episode_id=0, safe_trajectory=phi)
+def _episode(mode: Mode, scenario: Scenario = CROSSING, phi: Trajectory | None = None) -> EpisodeSpec:
+    return EpisodeSpec(scenario, mode, seed=0, episode_id=0, safe_trajectory=phi)
 
 
 def test_start_and_gap() -> None:

@@ -13,7 +13,7 @@ from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator
 from skd_sim.simulators.simulator import Frame, Simulator, WorldSimulator
 from skd_sim.world.dynamics.basic import CommandLimits
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
 FRAME = 0.05
@@ -58,7 +58,7 @@ def _scenario(gap: float) -> Scenario:
     return replace(base, car=replace(base.car, speed_noise=0.0, acceleration_noise=0.0, start_gap=gap))
 
 
-def _run(simulator: Simulator, episode: Episode, velocity: tuple[float, float], acceleration: float = 0.0) -> Frame:
+def _run(simulator: Simulator, episode: EpisodeSpec, velocity: tuple[float, float], acceleration: float = 0.0) -> Frame:
     frame = simulator.reset(episode)
     while frame.outcome == Outcome.RUNNING:
         frame = simulator.step(acceleration, velocity)
@@ -72,7 +72,7 @@ def test_same_end_as_in_the_world(episode_id: int, period: float | None) -> None
     rng = np.random.default_rng(episode_id)
     velocity = (rng.uniform(1.5, 2.5), rng.uniform(-0.5, 0.5))
     scenario = replace(_scenario(rng.uniform(8.0, 16.0)), control_period=period)
-    episode = Episode(scenario, Mode.SAFE, 7, episode_id)
+    episode = EpisodeSpec(scenario, Mode.SAFE, 7, episode_id)
     there = _run(WorldSimulator(), episode, velocity)
     seen = _run(FramedSimulator(Uniform()), episode, velocity)
     assert (seen.outcome, seen.tick, seen.period) == (there.outcome, there.tick, 0)
@@ -94,7 +94,7 @@ def test_boxes_and_others_end_as_in_the_world(name: str) -> None:
     for number in range(40):
         car = replace(base.car, speed_noise=0.0, acceleration_noise=0.0)
         walks = {"others": tuple(_crossing_early(other) for other in base.others)} if number % 2 else {}
-        episode = Episode(replace(base, car=car, control_period=0.1, horizon=5.0, **walks), Mode.SAFE, 7, number)
+        episode = EpisodeSpec(replace(base, car=car, control_period=0.1, horizon=5.0, **walks), Mode.SAFE, 7, number)
         direction = base.adversary.start_heading or 0.0
         angle, speed = direction + rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.9) * base.adversary.speed
         velocity = (speed * float(np.cos(angle)), speed * float(np.sin(angle)))
@@ -132,7 +132,7 @@ def test_a_source_says_when_its_own_shapes_touch(least_speed: float) -> None:
     base = _scenario(10.0)
     scenario = replace(base, collision=replace(base.collision, minimum_impact_speed=least_speed))
     simulator = FramedSimulator(Feeling())
-    begin = simulator.reset(Episode(scenario, Mode.SAFE, 7, 0))
+    begin = simulator.reset(EpisodeSpec(scenario, Mode.SAFE, 7, 0))
     while simulator.step(0.0, (0.0, 0.0)).tick < 5:
         pass
     reached = (-4.0 - 2.25 - begin.car.y) / begin.car.speed
@@ -144,14 +144,14 @@ def test_a_source_says_when_its_own_shapes_touch(least_speed: float) -> None:
 def test_commands_beyond_its_limits_are_clipped_and_counted() -> None:
     source = Uniform()
     simulator = FramedSimulator(source)
-    end = _run(simulator, Episode(_scenario(30.0), Mode.SAFE, 7, 0), (2.5, 0.0), -11.0)
+    end = _run(simulator, EpisodeSpec(_scenario(30.0), Mode.SAFE, 7, 0), (2.5, 0.0), -11.0)
     assert set(source.commands) == {-8.0}
     assert simulator.clipped == end.tick
-    _run(simulator, Episode(_scenario(30.0), Mode.SAFE, 7, 1), (2.5, 0.0), -8.0)
+    _run(simulator, EpisodeSpec(_scenario(30.0), Mode.SAFE, 7, 1), (2.5, 0.0), -8.0)
     assert simulator.clipped == 0
 
 
 def test_a_control_period_has_whole_frames() -> None:
-    episode = Episode(replace(_scenario(13.0), control_period=0.02), Mode.SAFE, 0, 0)
+    episode = EpisodeSpec(replace(_scenario(13.0), control_period=0.02), Mode.SAFE, 0, 0)
     with pytest.raises(UsageError, match=r"must divide the scenario's time_step 0\.3 s and its control_period 0\.02 s"):
         FramedSimulator(Uniform()).reset(episode)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, Scenario, load_scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.sensors import PlanarLaser, disc_range, make_laser, rectangle_range
 from skd_sim.world.state import AdversaryState, CarState
 
@@ -144,7 +144,7 @@ def test_a_scan_depends_on_seed_episode_and_tick_and_on_nothing_else():
 
 def test_a_scenario_without_sensor_has_no_laser():
     bare = replace(CROSSING, sensor=None)
-    assert make_laser(Episode(bare, Mode.SAFE, 0, 0)) is None
+    assert make_laser(EpisodeSpec(bare, Mode.SAFE, 0, 0)) is None
     data = bare.as_dict()
     assert "sensor" not in data
     assert "obstacles" not in data

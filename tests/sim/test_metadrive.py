@@ -18,7 +18,7 @@ from common import run_skd
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 if importlib.util.find_spec("metadrive") is None:
@@ -50,7 +50,7 @@ def across(pace: float = 2.5, ticks: int = 20) -> Trajectory:
 
 def run(phi: Trajectory, car: str = "basic", number: int = 0, scenario: Scenario = CROSSING, **more: Any) -> EpisodeLog:
     scenario = replace(scenario, control_period=CARS[car])
-    episode = Episode(scenario, Mode.REPLAY, 3, number, controller=car, safe_trajectory=phi, simulator="metadrive")
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 3, number, controller=car, safe_trajectory=phi, simulator="metadrive")
     return run_episode(episode, **more)
 
 
@@ -119,7 +119,7 @@ def test_boxes_others_and_parked_cars_are_there(name: str) -> None:
     scenario = replace(base, car=replace(base.car, speed_noise=0.0, acceleration_noise=0.0), control_period=None)
     here = np.array([base.adversary.start_x, base.adversary.start_y])
     phi = Trajectory(here + np.zeros((21, 1)), base.time_step, "stands")
-    episode = Episode(scenario, Mode.REPLAY, 3, 0, safe_trajectory=phi, simulator="metadrive")
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 3, 0, safe_trajectory=phi, simulator="metadrive")
     there = run_episode(episode, controller=Brakes(0.0))
     expected = run_episode(replace(episode, simulator="world"), controller=Brakes(0.0))
     assert there.outcome == expected.outcome
@@ -169,7 +169,7 @@ def test_the_expert_draws_from_what_metadrives_own_code_says() -> None:
 
 def test_the_expert_needs_metadrive_to_simulate() -> None:
     wider = replace(CROSSING, control_period=0.1, adversary=replace(CROSSING.adversary, radius=0.3))
-    episode = Episode(wider, Mode.REPLAY, 3, 0, controller="metadrive_expert", safe_trajectory=across())
+    episode = EpisodeSpec(wider, Mode.REPLAY, 3, 0, controller="metadrive_expert", safe_trajectory=across())
     with pytest.raises(UsageError, match="use it with --simulator metadrive"):
         run_episode(episode)  # in SKD's world, of which the MetaDrive that runs here knows nothing
 

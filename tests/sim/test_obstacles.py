@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Obstacle, Scenario, check_trajectory, load_scenario, scenario_from_dict
 from skd_sim.world.contact import clearance, runs_into
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -61,7 +61,7 @@ def test_who_runs_into_one_has_missed_but_a_replay_goes_on() -> None:
     before = AdversaryState(-3.0, -0.7 + 1.4 * scenario.time_step, 0.0, -1.4)
     phi = Trajectory(np.array([(-5.0, 1.0), (5.0, 1.0)]), scenario.time_step)
     for mode in Mode:
-        episode = Episode(scenario, mode, 0, 0, safe_trajectory=None if mode == Mode.SAFE else phi)
+        episode = EpisodeSpec(scenario, mode, 0, 0, safe_trajectory=None if mode == Mode.SAFE else phi)
         over = Outcome.RUNNING if mode == Mode.REPLAY else Outcome.MISSED
         assert episode.outcome(1, inside, collided=False) == (over if mode != Mode.REPLAY else Outcome.ARRIVED)
         if mode != Mode.REPLAY:

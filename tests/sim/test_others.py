@@ -14,7 +14,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import takes_scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import CarState, RoadUserState, Scene, Trajectory
 
@@ -59,7 +59,7 @@ class Rolls:
 
 
 def played(scenario: Scenario, controller: Any = None, number: int = 0) -> EpisodeLog:
-    episode = Episode(scenario, Mode.REPLAY, 0, number, multiplier=0.0, safe_trajectory=ASIDE)
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 0, number, multiplier=0.0, safe_trajectory=ASIDE)
     return run_episode(episode, controller, ReplayAdversary(ASIDE))
 
 
@@ -124,7 +124,7 @@ def test_who_stands_is_in_the_adversarys_way() -> None:
     beside = STANDING | {"way": [{"time": 0.0, "x": -2.5, "y": 0.0}]}
     scenario = scenario_with(beside)
     across = Trajectory(np.column_stack([-3.5 + 0.75 * np.arange(8), np.zeros(8)]), 0.3)
-    episode = Episode(scenario, Mode.KAMIKAZE, 0, 0, safe_trajectory=across, simulations=50)
+    episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, safe_trajectory=across, simulations=50)
     assert episode.outcome(2, RoadUserState(-2.3, 0.0, 2.5, 0.0), collided=False) == Outcome.MISSED
     moving = scenario_with(WALKING)
     assert len(moving.rectangles) == 0
@@ -135,6 +135,6 @@ def test_another_simulator_has_to_place_them() -> None:
 
     simulator = NamedSimulator()
     simulator._simulator, simulator._name = object(), "elsewhere"  # type: ignore[assignment]
-    episode = Episode(scenario_with(STANDING), Mode.REPLAY, 0, 0, safe_trajectory=ASIDE, simulator="elsewhere")
+    episode = EpisodeSpec(scenario_with(STANDING), Mode.REPLAY, 0, 0, safe_trajectory=ASIDE, simulator="elsewhere")
     with pytest.raises(UsageError, match=r"has others, which simulator 'elsewhere' does not place"):
         simulator.reset(episode)

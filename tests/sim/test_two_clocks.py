@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import WorldSimulator
 from skd_sim.world.contact import rectangle_distance, to_car_frame
-from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import period_of, period_stamp, tick_stamp
@@ -31,7 +31,7 @@ def quiet(scenario: Scenario) -> Scenario:
 
 
 def world_of(scenario: Scenario, seed: int = 3) -> World:
-    return make_world(Episode(scenario, Mode.SAFE, seed, 1))
+    return make_world(EpisodeSpec(scenario, Mode.SAFE, seed, 1))
 
 
 # --- noise
@@ -95,7 +95,7 @@ def test_contacts_are_where_a_fine_look_finds_them(periods: int, episode_id: int
     base = quiet(CROSSING)
     scenario = clocked(replace(base, car=replace(base.car, start_gap=float(rng.uniform(7.0, 10.0)))), periods)
     velocity = (float(rng.uniform(2.0, 2.5)), 0.0)
-    episode = Episode(scenario, Mode.SAFE, 7, episode_id)
+    episode = EpisodeSpec(scenario, Mode.SAFE, 7, episode_id)
     simulator = WorldSimulator()
     frame = simulator.reset(episode)
     states: list[tuple[CarState, float]] = []  # at the beginning of each period, with the command in it

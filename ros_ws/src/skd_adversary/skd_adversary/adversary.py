@@ -8,7 +8,7 @@ from typing import Final, NamedTuple, Protocol
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge
-from skd_sim.world.episode import Episode, Mode, Role, generator
+from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
 from skd_sim.world.state import CarState, Trajectory
 
 from skd_adversary.car_models.car_model_file import fitted_car
@@ -61,7 +61,7 @@ class Adversary(Protocol):
 class PlanningAdversary:
     """Plans by a POMDP: senses the car through noise, updates its belief, searches."""
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: EpisodeSpec) -> None:
         """Prepare for an episode, safe or kamikaze.
 
         Raises:
@@ -152,7 +152,7 @@ class ReplayAdversary:
         return velocity
 
 
-def predicted_car(episode: Episode) -> CarPrediction:
+def predicted_car(episode: EpisodeSpec) -> CarPrediction:
     """Return the model of the car with which an episode's adversary plans: by its knowledge, and the episode's mode.
 
     Raises:
@@ -169,7 +169,7 @@ def predicted_car(episode: Episode) -> CarPrediction:
     return known
 
 
-def make_adversary(episode: Episode) -> Adversary:
+def make_adversary(episode: EpisodeSpec) -> Adversary:
     """Return the adversary of an episode, seeded from its specification.
 
     Raises:

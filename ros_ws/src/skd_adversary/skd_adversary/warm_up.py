@@ -8,7 +8,7 @@ import numpy as np
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import BASIC, DEFAULT, DYNAMICS
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_adversary.car_models.car_model_file import (
@@ -47,20 +47,20 @@ def warm_up_episodes(
     objective: Objective = Objective.PAPER,
     car_model: str = "",
     dynamics: str = BASIC,
-) -> list[Episode]:
+) -> list[EpisodeSpec]:
     """Return a safe and a kamikaze episode with a tiny budget.
 
     Args:
         controller: name of the car under test: what is known of it decides which planner is needed.
         objective: objective of the kamikaze, which decides as well.
-        car_model: model of the car, as in `Episode`, which decides as well.
+        car_model: model of the car, as in `EpisodeSpec`, which decides as well.
         dynamics: dynamics of the car under test, which are compiled, too.
     """
     scenario = load_scenario(DYNAMICS[dynamics].scenario)
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)
     episodes = [
-        Episode(scenario, Mode.SAFE, 0, 0, simulations=10),
-        Episode(
+        EpisodeSpec(scenario, Mode.SAFE, 0, 0, simulations=10),
+        EpisodeSpec(
             scenario,
             Mode.KAMIKAZE,
             0,

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from skd_sim.simulators.simulator import Frame as Frame
     from skd_sim.simulators.simulator import Simulator as Simulator
     from skd_sim.simulators.simulator import WorldSimulator as WorldSimulator
-    from skd_sim.world.episode import Episode as Episode
     from skd_sim.world.episode import EpisodeLog as EpisodeLog
+    from skd_sim.world.episode import EpisodeSpec as EpisodeSpec
     from skd_sim.world.episode import Mode as Mode
     from skd_sim.world.episode import Outcome as Outcome
     from skd_sim.world.sensors import Scan as Scan
@@ -36,7 +36,7 @@ _WHERE = {
     "AdversaryState": "skd_sim.world.state",
     "CarState": "skd_sim.world.state",
     "Controller": "skd_sim.controllers.protocol",
-    "Episode": "skd_sim.world.episode",
+    "EpisodeSpec": "skd_sim.world.episode",
     "EpisodeLog": "skd_sim.world.episode",
     "Frame": "skd_sim.simulators.simulator",
     "FrameSource": "skd_sim.simulators.framed_simulator",

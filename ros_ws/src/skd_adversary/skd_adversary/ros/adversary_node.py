@@ -25,7 +25,7 @@ from skd_sim.ros.support import (
 )
 from skd_sim.ros.to_messages import car_to_odometry, velocity_command
 from skd_sim.scenario.road import HEADING_NORTH, road_pose
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import CarState
 
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
@@ -40,7 +40,7 @@ class GraphAdversary:
     It speaks through a node that may belong to others as well.
     """
 
-    def __init__(self, node: Node, *, make: Callable[[Episode], Adversary] = make_adversary) -> None:
+    def __init__(self, node: Node, *, make: Callable[[EpisodeSpec], Adversary] = make_adversary) -> None:
         """Make the topics.
 
         Args:
@@ -54,7 +54,7 @@ class GraphAdversary:
         self._command = node.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
         self._believed = node.create_publisher(Odometry, BELIEVED_CAR, STREAM)
 
-    def begin(self, episode: Episode) -> None:
+    def begin(self, episode: EpisodeSpec) -> None:
         """Take the next episode."""
         self._episode = episode
         self._adversary = self._make(episode)
@@ -91,7 +91,7 @@ class GraphAdversary:
 class AdversaryNode(GraphNode):
     """The adversary as a node that follows episodes and states by their topics."""
 
-    def __init__(self, *, make: Callable[[Episode], Adversary] = make_adversary, **node_arguments: object) -> None:
+    def __init__(self, *, make: Callable[[EpisodeSpec], Adversary] = make_adversary, **node_arguments: object) -> None:
         """Declare parameters and topics, and load the planner.
 
         Args:
@@ -108,7 +108,7 @@ class AdversaryNode(GraphNode):
     def _on_odometry(self, message: Odometry) -> None:
         self._follower.deliver(from_stamp(message.header.stamp), odometry_to_car(message))
 
-    def _on_begin(self, episode: Episode) -> None:
+    def _on_begin(self, episode: EpisodeSpec) -> None:
         self.adversary.begin(episode)
 
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
@@ -116,7 +116,7 @@ class AdversaryNode(GraphNode):
             self.adversary.answer(tick, stamp, car)
 
 
-def belief_to_odometry(believed: BelievedCar, episode: Episode, stamp: int) -> Odometry:
+def belief_to_odometry(believed: BelievedCar, episode: EpisodeSpec, stamp: int) -> Odometry:
     """Return a belief as odometry in `map`: means as pose and speed, variances along the road as covariances."""
     x, y, heading = road_pose(episode.scenario.road.line, believed.position)
     message = copy.deepcopy(car_to_odometry(CarState(x, y, heading, believed.speed), stamp))  # which is used again

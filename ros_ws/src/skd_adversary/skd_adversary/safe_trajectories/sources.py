@@ -13,7 +13,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario, check_trajectory, start_clearance
 from skd_sim.scenario.scenario_file import REGULATORY
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_adversary.crossing.road_users import road_user_named
@@ -188,7 +188,7 @@ def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
             f"{path}: walks {goes}, from x = {first:.3g} to {last:.3g} m off the centre line; the adversary crosses "
             f"towards the {towards}: mirror it, or turn the order of its points round"
         )
-    episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
     x, y = episode.start
     if start_clearance(scenario, x, y, episode.start_gap) <= scenario.adversary.reach:
         raise UsageError(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT, GraphOptions
 from skd_evaluator.metrics.behaviour.model import Behaviour
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Runner(Protocol):
     """Runs episodes: a pool of processes, the node graph, or a Dask cluster."""
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         """Run all of `episodes` and yield their logs in the same order."""
 
 
@@ -34,7 +34,7 @@ def silent(_label: str, _done: int, _total: int) -> None:
 
 def run_episodes(
     runner: Runner,
-    episodes: Sequence[Episode],
+    episodes: Sequence[EpisodeSpec],
     label: str,
     progress: Progress,
     done: int = 0,
@@ -62,7 +62,7 @@ class Recorder:
         self._runner = runner
         self.logs: list[EpisodeLog] = []
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         """Run all of `episodes`; see `Runner`."""
         for log in self._runner.run(episodes):
             self.logs.append(log)

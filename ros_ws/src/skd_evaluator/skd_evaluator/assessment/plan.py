@@ -28,7 +28,7 @@ from skd_sim.options.car_under_test import DEFAULT, CarUnderTest, is_own_world
 from skd_sim.options.options import shared_options
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.options import WALKERS, CampaignOptions
@@ -81,7 +81,7 @@ def model_digest(number: int, car_model: str) -> str:
     return hashlib.sha256(car_model.encode()).hexdigest()[:8] if number >> 48 == Stage.LEARNING else ""
 
 
-def follows_other_trajectory(episode: Episode) -> bool:
+def follows_other_trajectory(episode: EpisodeSpec) -> bool:
     """Tell whether somebody follows a way that is no φ: one of the margin under a trial's draws, or of the risk."""
     stage = split_episode_id(episode.episode_id)[0]
     return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK)
@@ -127,7 +127,7 @@ class Plan(CampaignOptions):
         """
         return log.hit if self.limits_deviation else log.outcome == Outcome.COLLISION
 
-    def episode(self, mode: Mode, safe_index: int, trial: int, safe: Trajectory | None) -> Episode:
+    def episode(self, mode: Mode, safe_index: int, trial: int, safe: Trajectory | None) -> EpisodeSpec:
         """Return the specification of one episode against the car under test.
 
         Args:
@@ -136,7 +136,7 @@ class Plan(CampaignOptions):
             trial: number within the stage and φ.
             safe: φ; none in safe mode.
         """
-        return Episode(
+        return EpisodeSpec(
             self.scenario,
             mode,
             self.seed,
@@ -146,7 +146,7 @@ class Plan(CampaignOptions):
         )
 
 
-def runs_along(plan: Plan, safe: Sequence[Trajectory]) -> list[Episode]:
+def runs_along(plan: Plan, safe: Sequence[Trajectory]) -> list[EpisodeSpec]:
     """Return the runs along φ, dealt out evenly over Φ."""
     return [
         plan.episode(Mode.REPLAY, run % len(safe), run // len(safe), safe[run % len(safe)])
@@ -223,7 +223,7 @@ def probed(scenario: Scenario, seed: int, number: int) -> Trajectory:
 
 def probe_episodes(
     scenario: Scenario, count: int, *, seed: int, controller: str = DEFAULT, multiplier: float = 1.0
-) -> list[Episode]:
+) -> list[EpisodeSpec]:
     """Return the episodes of a probe; the same seed gives the same ones for every car.
 
     Args:
@@ -240,5 +240,5 @@ def probe_episodes(
     for index in range(count):
         number = episode_id(Stage.PROBE, 0, index)
         trajectory = probed(seen, seed, number)
-        episodes.append(Episode(seen, Mode.REPLAY, seed, number, trajectory, public=clocked, **car))
+        episodes.append(EpisodeSpec(seen, Mode.REPLAY, seed, number, trajectory, public=clocked, **car))
     return episodes

@@ -31,7 +31,7 @@ from skd_sim.scenario.road_user import Body
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance, sweep, to_car_frame
 from skd_sim.world.dynamics.basic import along_road
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 
@@ -175,7 +175,7 @@ def determined(scenario: Scenario) -> bool:
     return DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
 
 
-def follows_phi(episode: Episode) -> bool:
+def follows_phi(episode: EpisodeSpec) -> bool:
     """Whether the adversary can go as φ does: a replay, and a kamikaze that can choose to."""
     if episode.mode != Mode.KAMIKAZE:
         return episode.mode == Mode.REPLAY
@@ -310,7 +310,7 @@ def examine(log: EpisodeLog, *, asked: bool = False) -> Verdict:
     return Verdict(fault, found.deviation, found.where)
 
 
-def _specification(episode: Episode) -> str:
+def _specification(episode: EpisodeSpec) -> str:
     """Return what in the specification no campaign would have asked for."""
     for what, value in (("multiplier", episode.multiplier), ("maximum distance", episode.maximum_distance or 1.0)):
         if not 0.0 <= value < math.inf:

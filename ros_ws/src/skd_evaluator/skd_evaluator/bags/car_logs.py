@@ -14,7 +14,7 @@ from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes
@@ -162,7 +162,7 @@ def _logs_in(path: Path) -> list[EpisodeLog]:
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
 
 
-def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
+def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], beside: _Beside) -> EpisodeSpec:
     """Return the specification of an episode, as far as it decides what can have happened."""
     number, objective = int(stored.episode_id[row]), str(stored.objective[row])
     stage, index, _ = split_episode_id(number)
@@ -174,7 +174,7 @@ def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], besid
         raise UsageError(
             f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}, numbered from 0"
         )
-    return Episode(
+    return EpisodeSpec(
         beside.scenario,
         Mode(int(stored.mode[row])),
         beside.seed,

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from skd_sim.errors import UsageError
 from skd_sim.options.options import shared_options
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
 from skd_evaluator.assessment.plan import model_digest
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message, stamps
@@ -161,7 +161,7 @@ class GraphRecording:
                 yield BagEpisode(key, log)
 
     def _log(
-        self, episode: Episode, key: EpisodeKey, result: EpisodeEnd, where: str, damage: Damage
+        self, episode: EpisodeSpec, key: EpisodeKey, result: EpisodeEnd, where: str, damage: Damage
     ) -> EpisodeLog | None:
         name = f"{where}: episode {key.episode_id}"
         if result.ticks > episode.scenario.ticks:

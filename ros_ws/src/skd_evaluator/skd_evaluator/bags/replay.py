@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.options import options_of, shared_options
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
@@ -26,7 +26,7 @@ from skd_evaluator.bags.checks import (
 from skd_evaluator.bags.read import BagContent, BagEpisode
 from skd_evaluator.metrics.aborted import aborted_lines
 
-_OPTIONS = [one for one in options_of(Episode) if one.name != "objective"]  # a campaign may have several objectives
+_OPTIONS = [one for one in options_of(EpisodeSpec) if one.name != "objective"]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))
 _OF_KAMIKAZES = [one.name for one in _OPTIONS if one.planning]  # no matter in an episode that plans nothing
 
@@ -49,7 +49,7 @@ def _select(episodes: Sequence[BagEpisode], campaign: str | None) -> list[BagEpi
     return [episode for episode in episodes if campaign in (None, episode.key.campaign)]
 
 
-def _counts(spec: Episode) -> bool:
+def _counts(spec: EpisodeSpec) -> bool:
     """Whether an episode belongs to an assessment: those that made φ, probed a car or tried a way do not."""
     stage = split_episode_id(spec.episode_id)[0]
     return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not follows_other_trajectory(spec)

@@ -16,7 +16,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.options.adversary import Knowledge
 from skd_sim.options.options import REAL_TIME, options_of, values_of
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import episode_summary
@@ -91,7 +91,7 @@ class _Episodes:
                 f"--safe-number {self._first}: there are {len(self._safe)} safe trajectories, numbered from 0"
             )
 
-    def at(self, number: int) -> Episode:
+    def at(self, number: int) -> EpisodeSpec:
         """Return the episode of a number: one φ after another, and new draws each time."""
         if self.by_keys:
             return self._plan.episode(Mode.SAFE, 0, number, None)
@@ -172,7 +172,7 @@ def _driving(
 ) -> Iterator[Drive]:
     """Yield what drives an episode, in this process or through the node graph."""
 
-    def hand_for(episode: Episode) -> Hand | None:
+    def hand_for(episode: EpisodeSpec) -> Hand | None:
         controls.hand = Hand(episode.scenario) if episodes.by_keys else None
         return controls.hand
 
@@ -189,7 +189,7 @@ def _driving(
             yield watched.driver(evaluator)
 
 
-def _driven(drive: Drive, episode: Episode) -> EpisodeLog:
+def _driven(drive: Drive, episode: EpisodeSpec) -> EpisodeLog:
     """Drive an episode to its end.
 
     Raises:

@@ -14,7 +14,7 @@ from typing import Any
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import make_simulator
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 
 from skd_evaluator.assessment.context import Progress, Recorder, Runner
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, write_probes
@@ -99,7 +99,7 @@ def _car(arguments: argparse.Namespace) -> CarUnderTest:
     return CarUnderTest(arguments.controller, arguments.multiplier)
 
 
-def _collect(runner: Runner, episodes: Sequence[Episode], progress: Progress) -> list[EpisodeLog]:
+def _collect(runner: Runner, episodes: Sequence[EpisodeSpec], progress: Progress) -> list[EpisodeLog]:
     logs = []
     for log in runner.run(episodes):
         logs.append(log)
@@ -108,7 +108,7 @@ def _collect(runner: Runner, episodes: Sequence[Episode], progress: Progress) ->
 
 
 def _through_graph(
-    arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder
+    arguments: argparse.Namespace, episodes: Sequence[EpisodeSpec], out: ResultFolder
 ) -> tuple[list[EpisodeLog], tuple[str, ...]]:
     car = _car(arguments)
     warnings: tuple[str, ...] = ()

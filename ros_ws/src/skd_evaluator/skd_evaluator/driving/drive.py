@@ -23,7 +23,7 @@ from skd_sim.controllers import make_controller
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, NamedSimulator
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import CarState, RoadUserState
 
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -85,7 +85,7 @@ class Situation:
 class Onlooker:
     """Turns the states of one episode into situations."""
 
-    def __init__(self, episode: Episode, unit: str = "m/s²") -> None:
+    def __init__(self, episode: EpisodeSpec, unit: str = "m/s²") -> None:
         """Begin.
 
         Args:
@@ -290,10 +290,10 @@ def reading_keys(press: Callable[[str], None]) -> Iterator[None]:
 
 _NAP = 0.05  # s between two looks at what is wanted
 
-Drive = Callable[[Episode], EpisodeLog]
+Drive = Callable[[EpisodeSpec], EpisodeLog]
 """Runs an episode to its end, or raises a `LeftError`."""
 Show = Callable[[Situation], None]
-HandFor = Callable[[Episode], Adversary | None]
+HandFor = Callable[[EpisodeSpec], Adversary | None]
 """Gives who moves the adversary of an episode that begins; None: what the episode says."""
 
 
@@ -315,7 +315,7 @@ class PacedSimulator(NamedSimulator):
         super().__init__()
         self._rate, self._show, self._look = rate, show, look
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Begin an episode; see `Simulator`."""
         self._onlooker = Onlooker(episode)
         frame = super().reset(episode)
@@ -360,7 +360,7 @@ def driving_in_process(
     """
     controller = make_controller(car.controller, car.multiplier)
 
-    def drive(episode: Episode) -> EpisodeLog:
+    def drive(episode: EpisodeSpec) -> EpisodeLog:
         return run_episode(episode, controller, hand_for(episode), PacedSimulator(rate, show, look))
 
     yield drive

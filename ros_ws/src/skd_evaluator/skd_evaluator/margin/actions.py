@@ -19,7 +19,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 
 FIRST_HALF: Final = AS_PHI + 1
 """Way FIRST_HALF + a is action a at half speed."""
@@ -107,7 +107,7 @@ def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
     return ""
 
 
-def require_exact(episode: Episode) -> None:
+def require_exact(episode: EpisodeSpec) -> None:
     """Refuse an episode of which it is not known what each sequence of actions would have led to.
 
     Raises:

@@ -32,7 +32,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import BASIC, WORLD
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.context import Progress
@@ -107,7 +107,7 @@ def _steps_are_moves(scenario: Scenario, phi: Trajectory) -> bool:
     return bool((apart.min(axis=1, initial=math.inf) <= _SAME_STEP).all())
 
 
-def margin_of(episode: Episode) -> float:
+def margin_of(episode: EpisodeSpec) -> float:
     """Return the margin of a trial of a basic car, at most η_max, m; nan where its search has no room."""
     eta_max = episode.scenario.eta_max
     try:

@@ -16,7 +16,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import scenario_from_dict
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.compare.comparability import refusals
@@ -124,7 +124,7 @@ def _margins(result: StoredResult, ways: Ways, hits: Sequence[OtherHit], progres
     return tuple(map(np.minimum, groups, np.split(np.array(found), ends)))
 
 
-def _trials(result: StoredResult) -> list[list[Episode]]:
+def _trials(result: StoredResult) -> list[list[EpisodeSpec]]:
     """Return the trials of each φ in which a result has margins.
 
     Raises:

@@ -20,7 +20,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep, to_car_frame
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelled
 
 from skd_evaluator.assessment.context import Runner
@@ -59,7 +59,7 @@ class AnyCar:
         """Run episodes by `runner`; without one they can only be asked for."""
         self._crossing_plan, self._runner = crossing_plan, runner
         self.hits: list[EpisodeLog] = []
-        self._specs: list[Episode] = []
+        self._specs: list[EpisodeSpec] = []
         scenarios: dict[float, Scenario] = {}
         for index, phi in enumerate(crossing_plan.safe):
             # A kamikaze's: its car starts as in an assessment, and is not met by a way that is no φ.
@@ -68,7 +68,7 @@ class AnyCar:
             scenario = scenarios.setdefault(spec.start_gap, replace(spec.scenario, car=car))
             self._specs.append(replace(spec, mode=Mode.REPLAY, scenario=scenario, public=spec.public_scenario))
 
-    def episodes(self, crossings: Crossings, scale: float) -> list[Episode]:
+    def episodes(self, crossings: Crossings, scale: float) -> list[EpisodeSpec]:
         """Return the episodes of crossings."""
         found = []
         for phi, normals, draw in zip(crossings.phi.tolist(), crossings.walker, crossings.draw.tolist(), strict=True):
@@ -209,7 +209,7 @@ class CrossingNumbers(NamedTuple):
     hit_speed: float
 
 
-def crossing_numbers(episode: Episode) -> CrossingNumbers:
+def crossing_numbers(episode: EpisodeSpec) -> CrossingNumbers:
     """Return a scenario in numbers."""
     scenario = episode.scenario
     car = scenario.car

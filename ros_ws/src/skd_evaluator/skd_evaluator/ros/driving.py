@@ -19,7 +19,7 @@ from skd_sim.options.options import CommandOptions
 from skd_sim.ros.commands import Quantity, car_commands
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary
 from skd_sim.ros.support import ADVERSARY_ODOMETRY, STREAM, spin
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import CommandAges
 
@@ -43,7 +43,7 @@ class DrivingNode(AdversaryNode):
             show: called with each situation.
         """
 
-        def make(episode: Episode) -> Adversary:
+        def make(episode: EpisodeSpec) -> Adversary:
             return hand_for(episode) or make_adversary(episode)
 
         super().__init__(make=make, context=context)
@@ -58,7 +58,7 @@ class DrivingNode(AdversaryNode):
         self.create_subscription(Odometry, ADVERSARY_ODOMETRY, self._on_adversary, STREAM)
         self.create_subscription(self._heard.kind, commands.command_topic, self._on_drive, STREAM)
 
-    def _on_begin(self, episode: Episode) -> None:
+    def _on_begin(self, episode: EpisodeSpec) -> None:
         super()._on_begin(episode)
         self._onlooker, self._moment = Onlooker(episode, self._unit), (-1, -1)
         self._seen.clear()
@@ -143,7 +143,7 @@ class Watched:
         """Return what runs an episode of an evaluator's graph."""
         self._evaluator = evaluator
 
-        def drive(episode: Episode) -> EpisodeLog:
+        def drive(episode: EpisodeSpec) -> EpisodeLog:
             log = evaluator.run_episode(episode)
             if self._look() is not Wish.NONE:
                 raise LeftError

@@ -49,7 +49,7 @@ from skd_sim.ros.support import (
 )
 from skd_sim.ros.to_messages import episode_to_message, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator
-from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Outcome, abort_reason, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, abort_reason, kind_of
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import NANOSECONDS, next_start, tick_stamp
 from tf2_msgs.msg import TFMessage
@@ -136,7 +136,7 @@ class Composed:
         self._due: Callable[[], None] | None = None
         self._problem: str | None = None
 
-    def begin(self, episode: Episode, message: EpisodeMsg) -> None:
+    def begin(self, episode: EpisodeSpec, message: EpisodeMsg) -> None:
         """Begin an episode, which a message says to others; what goes wrong is said by `problem`."""
         self._due = self._problem = None
         try:
@@ -382,7 +382,7 @@ class Evaluator(GraphNode):
 
     # --- episodes
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         """Run episodes one after another and yield their logs.
 
         Raises:
@@ -393,7 +393,7 @@ class Evaluator(GraphNode):
             self.failures.note(log)
             yield log
 
-    def run_episode(self, episode: Episode) -> EpisodeLog:
+    def run_episode(self, episode: EpisodeSpec) -> EpisodeLog:
         """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason.
 
         Raises:
@@ -460,7 +460,7 @@ class Evaluator(GraphNode):
                 looked = time.monotonic()
                 self._look_after_processes()
 
-    def _announce(self, episode: Episode, specification: EpisodeMsg) -> None:
+    def _announce(self, episode: EpisodeSpec, specification: EpisodeMsg) -> None:
         self._published = time.monotonic()
         self._episode_publisher.publish(specification)
         if self._composed is not None:
@@ -472,7 +472,7 @@ class Evaluator(GraphNode):
         if self._composed is not None:
             self._composed.work()
 
-    def _refute(self, episode: Episode, start: int) -> str | None:
+    def _refute(self, episode: EpisodeSpec, start: int) -> str | None:
         """Take back a result that its states contradict, and return the reason; none where it can have happened."""
         if self._result is None:
             return None
@@ -487,7 +487,7 @@ class Evaluator(GraphNode):
     def _newest(self) -> int:
         return max([self._key.start, *self._samples.car, *self._samples.adversary])
 
-    def _complete_ticks(self, episode: Episode, start: int) -> int:
+    def _complete_ticks(self, episode: EpisodeSpec, start: int) -> int:
         """Return the last tick up to which every state has come."""
         step = episode.scenario.time_step
         ticks = 0
@@ -495,7 +495,7 @@ class Evaluator(GraphNode):
             ticks += 1
         return ticks
 
-    def _wait(self, episode: Episode, start: int, specification: EpisodeMsg) -> str:
+    def _wait(self, episode: EpisodeSpec, start: int, specification: EpisodeMsg) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         while True:
             self._spin(_WAKE)
@@ -540,7 +540,7 @@ class Evaluator(GraphNode):
             if (several := second_publisher(self, topic)) is not None:
                 raise AssessmentError(f"{several}; end all but one")
 
-    def _lost(self, episode: Episode, start: int, result: EpisodeEnd) -> str:
+    def _lost(self, episode: EpisodeSpec, start: int, result: EpisodeEnd) -> str:
         lost, count = self._samples.missing(episode, start, result), 2 * (result.ticks + 1)
         said = f"the episode ended, and {lost} of its {count} states have not come {_LOST:g} s later"
         return abort_reason(AbortKind.LOST, f"{said}: this machine has too much to do, or the network loses messages")

@@ -26,7 +26,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from skd_sim.errors import UsageError
 from skd_sim.ros.commands import car_commands
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.options import RESTART, managed_nodes
@@ -135,7 +135,7 @@ class GraphPool:
             self._idle.put(evaluator)
         self._executor = ThreadPoolExecutor(len(evaluators), "skd-graph")
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         """Run episodes and yield their logs in the order of the episodes.
 
         Raises:
@@ -151,7 +151,7 @@ class GraphPool:
             for future in futures:
                 future.cancel()
 
-    def _run_episode(self, episode: Episode) -> EpisodeLog:
+    def _run_episode(self, episode: EpisodeSpec) -> EpisodeLog:
         evaluator = self._idle.get()
         try:
             return evaluator.run_episode(episode)

@@ -30,7 +30,7 @@ from skd_sim.ros.support import (
     TF_STATIC,
 )
 from skd_sim.ros.to_messages import to_stamp
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.timing import period_stamp, tick_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -48,7 +48,7 @@ _LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """As tf2 listens: each of several nodes may have latched transforms of its own."""
 
 
-def bag_name(episode: Episode) -> str:
+def bag_name(episode: EpisodeSpec) -> str:
     """Return the name of an episode's bag, another one for each episode of a campaign."""
     number, mode = episode.episode_id, episode.mode.name.lower()
     if episode.mode != Mode.KAMIKAZE:
@@ -101,7 +101,7 @@ class BagRecorder:
     def _on_description(self, message: String) -> None:
         self._description = message
 
-    def takes(self, episode: Episode) -> bool:
+    def takes(self, episode: EpisodeSpec) -> bool:
         """Whether the bag of an episode is kept: thousands of ways that were tried would bury those that count.
 
         Nor is one that is run again, to see whether it goes as before.
@@ -143,7 +143,7 @@ class BagRecorder:
         self._now = max(self._now, stamp)
         return stamp
 
-    def settle(self, episode: Episode, result: EpisodeEnd, listen: Callable[[float], None]) -> None:
+    def settle(self, episode: EpisodeSpec, result: EpisodeEnd, listen: Callable[[float], None]) -> None:
         """Wait, a moment at most, for messages that topics without common order deliver after the result.
 
         Args:

@@ -20,7 +20,7 @@ from skd_sim.ros.to_messages import to_stamp
 from skd_sim.scenario.road import Road, road_pose, road_position
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import period_of, tick_stamp
 from std_msgs.msg import Float64
@@ -119,7 +119,7 @@ def _body(marker: Marker, body: Body, place: tuple[float, float]) -> Marker:
     return _box(marker, (*place, 0.5 * height), size)
 
 
-def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
+def fixed_markers(episode: EpisodeSpec, stamp: int) -> list[Marker]:
     """Return the markers of an episode that stay as they are: lanes, what stands, and φ; from `stamp` (ns) on."""
     markers = _lanes(episode.scenario.road, stamp)
     for index, (x, y, heading, half_length, half_width) in enumerate(episode.scenario.rectangles.tolist()):
@@ -162,7 +162,7 @@ def moving_markers(
     return markers
 
 
-def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArray:
+def episode_markers(episode: EpisodeSpec, samples: Samples, stamp: int) -> MarkerArray:
     """Return all markers of an episode at simulation time `stamp` (ns)."""
     place = samples.car[stamp][:2] if stamp in samples.car else None
     walked = [samples.adversary[time] for time in sorted(samples.adversary)]
@@ -180,7 +180,7 @@ class LiveFigures:
         self._deviation = node.create_publisher(Float64, DEVIATION, STREAM)
         self._onlooker: Onlooker | None = None
 
-    def begin(self, episode: Episode, start: int) -> None:
+    def begin(self, episode: EpisodeSpec, start: int) -> None:
         """Begin an episode.
 
         Args:

@@ -14,7 +14,7 @@ import numpy as np
 from skd_sim.inputs.files import parse_json
 from skd_sim.options.options import FIELDS, options_from_text, options_of
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, Mode, controller_generator
+from skd_sim.world.episode import EpisodeSpec, Mode, controller_generator
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Trajectory, heading_of
 from skd_sim.world.timing import NANOSECONDS
@@ -79,7 +79,7 @@ def message_to_car_episode(message: Any) -> CarEpisode:
     return CarEpisode(_scenario(told), str(message.controller), float(message.multiplier), rng)
 
 
-def message_to_episode(message: Any) -> Episode:
+def message_to_episode(message: Any) -> EpisodeSpec:
     """Return the episode that a message specifies.
 
     Raises:
@@ -91,13 +91,13 @@ def message_to_episode(message: Any) -> Episode:
         points = np.array([(point.x, point.y) for point in message.safe_trajectory])
         trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
     public = str(message.public_scenario)
-    return Episode(
+    return EpisodeSpec(
         scenario=_scenario(str(message.scenario)),
         public=_scenario(public) if public else None,
         mode=Mode(int(message.mode)),
         seed=int(message.seed),
         episode_id=int(message.episode_id),
         safe_trajectory=trajectory,
-        **{one.name: one.value(getattr(message, one.name)) for one in options_of(Episode) if one.name in FIELDS},
+        **{one.name: one.value(getattr(message, one.name)) for one in options_of(EpisodeSpec) if one.name in FIELDS},
         **options_from_text(str(message.options), "options in /skd/episode"),
     )

@@ -51,7 +51,7 @@ from skd_sim.ros.support import (
 from skd_sim.ros.to_messages import to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.dynamics.basic import CommandLimits
-from skd_sim.world.episode import AbortKind, Episode, Outcome, abort_reason
+from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.timing import Schedule
 from skd_sim.world.world import Contact
 
@@ -187,7 +187,7 @@ class GraphSimulator:
         self._clipped = 0
         self._schedule = None
         try:
-            self._episode: Episode = message_to_episode(message)
+            self._episode: EpisodeSpec = message_to_episode(message)
             require_others(self._simulator, self._node.get_name(), self._episode)
             self._frame = self._simulator.reset(self._episode)
         except ValueError as error:

@@ -49,7 +49,7 @@ from skd_sim.ros.to_messages import (
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.sensors import InertialUnit, PlanarLaser, make_laser
 from skd_sim.world.state import CarState, RoadUserState, Scene
 
@@ -84,7 +84,7 @@ class StatePublisher:
             self._detections = node.create_publisher(DETECTIONS, ADVERSARY_DETECTIONS, STREAM)
         self._described: tuple[Any, ...] = ()
 
-    def begin(self, episode: Episode, stamp: int) -> None:
+    def begin(self, episode: EpisodeSpec, stamp: int) -> None:
         """Begin an episode at a stamp (ns); latched topics are published again if the car has changed."""
         self._episode = episode
         self._laser: PlanarLaser | None = make_laser(episode)

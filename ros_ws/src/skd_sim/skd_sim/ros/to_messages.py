@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from skd_sim.options.options import ADVERSARY_FRAME, FIELDS, FRAMES, MAP_FRAME, Frames, options_of, options_to_text
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, controller_seed
+from skd_sim.world.episode import EpisodeSpec, controller_seed
 from skd_sim.world.sensors import Inertia, Scan
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import NANOSECONDS
@@ -181,7 +181,7 @@ def scenario_text(scenario: Scenario) -> str:
     return json.dumps(scenario.as_dict())
 
 
-def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMsg:
+def episode_to_message(episode: EpisodeSpec, campaign: str, start: int) -> EpisodeMsg:
     """Return the message of an episode that starts at `start` (ns)."""
     message = EpisodeMsg()
     message.header.stamp = to_stamp(start)
@@ -194,7 +194,7 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.scenario = scenario_text(episode.scenario)
     if episode.public is not None:
         message.public_scenario = scenario_text(episode.public)
-    for one in options_of(Episode):
+    for one in options_of(EpisodeSpec):
         if one.name in FIELDS:
             setattr(message, one.name, one.plain(getattr(episode, one.name)))
     message.options = options_to_text(episode)

@@ -17,7 +17,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CommandLimits
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 from skd_sim.world.world import Contact, make_world
 
@@ -72,7 +72,7 @@ class FramedSimulator:
         self.clipped = 0
         self.own_contact: float | None = None
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Draw the start as the world does, and place car and adversary there.
 
         Raises:

@@ -17,12 +17,12 @@ from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import SIMULATORS, is_own_world
 from skd_sim.options.registry import reason_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import AbortKind, Episode, Outcome, abort_reason
+from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.state import AdversaryState, CarState, Scene
 from skd_sim.world.world import Contact, World, make_world
 
 if TYPE_CHECKING:
-    from skd_sim.world.episode import Episode
+    from skd_sim.world.episode import EpisodeSpec
     from skd_sim.world.world import World
 
 
@@ -71,7 +71,7 @@ class Simulator(Protocol):
     def clipped(self) -> int:
         """How many commands of this episode asked more of the car than it can do."""
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Put car and adversary at the start, as `make_world` draws it, and return tick 0.
 
         Raises:
@@ -83,7 +83,7 @@ class Simulator(Protocol):
         """Hold both commands for one control period (`Scenario.control_periods` of a tick), and return its end.
 
         A contact is looked for along all of it, and ends the tick, where the adversary's velocity takes it.
-        `Episode.outcome` says how an episode stands at a tick.
+        `EpisodeSpec.outcome` says how an episode stands at a tick.
 
         Args:
             acceleration: acceleration of the car, m/s², finite; what the car cannot do is clipped and counted.
@@ -94,7 +94,7 @@ class Simulator(Protocol):
         """
 
 
-def require_others(simulator: object, name: str, episode: Episode) -> None:
+def require_others(simulator: object, name: str, episode: EpisodeSpec) -> None:
     """Refuse an episode whose scenario has others for a simulator, called `name`, that does not say it places them.
 
     Raises:
@@ -113,7 +113,7 @@ class WorldSimulator:
     places_others: Final = True
     """Whether the others of a scenario are there: of a simulator that does not say so, they are not."""
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Make the world of an episode, with all that is drawn for it."""
         self._episode = episode
         self._world = make_world(episode)
@@ -160,7 +160,7 @@ class CheckedSimulator:
         self._simulator, self._name = simulator, name
         self.strayed = 0.0
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Pass the call on and check the frame; see `Simulator.reset`.
 
         Raises:
@@ -325,7 +325,7 @@ class NamedSimulator:
         self._name = ""
         self._simulator: Simulator
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Make the simulator if the episode names another one than the last did, and begin the episode."""
         if episode.simulator != self._name:
             made = make_simulator(episode.simulator)

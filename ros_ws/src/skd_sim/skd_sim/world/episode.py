@@ -78,7 +78,7 @@ class Outcome(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Episode(EpisodeOptions):
+class EpisodeSpec(EpisodeOptions):
     """Specification: with the same one, every runner gives the same trajectory to the last bit.
 
     Attributes:
@@ -177,7 +177,7 @@ class EpisodeLog:
             simulator in process; 0 of SKD's own world, which takes it there, and where it is not known.
     """
 
-    episode: Episode
+    episode: EpisodeSpec
     outcome: Outcome
     adversary: FloatArray
     car: FloatArray

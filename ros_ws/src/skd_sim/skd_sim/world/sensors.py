@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import NO_CONTACT, to_car_frame
-from skd_sim.world.episode import Episode, Role, generator
+from skd_sim.world.episode import EpisodeSpec, Role, generator
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 
 FloatRanges = NDArray[np.float32]
@@ -238,7 +238,7 @@ class PlanarLaser:
         return Scan(ranges, self._first, self._increment, float(np.float32(sensor.maximum_range)))
 
 
-def make_laser(episode: Episode) -> PlanarLaser | None:
+def make_laser(episode: EpisodeSpec) -> PlanarLaser | None:
     """Return the scanner of an episode, seeded from its specification; none where the scenario has no sensor."""
     if episode.scenario.sensor is None:
         return None

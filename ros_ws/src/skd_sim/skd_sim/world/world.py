@@ -12,7 +12,7 @@ from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CarDynamics, Noise, command_limits, make_dynamics
-from skd_sim.world.episode import Episode, Role, generator
+from skd_sim.world.episode import EpisodeSpec, Role, generator
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
 
@@ -195,7 +195,7 @@ def first_contact_of(
     return share, speed
 
 
-def make_world(episode: Episode) -> World:
+def make_world(episode: EpisodeSpec) -> World:
     """Return the world at the start of an episode, seeded from its specification."""
     return World(
         episode.scenario,

@@ -22,7 +22,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, until_contact
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, until_contact
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
@@ -115,7 +115,7 @@ def write_episodes(path: Path | IO[bytes], assessment: Assessment) -> None:
     rows: list[tuple[EpisodeLog, int, str]] = []  # with the number of φ and the objective
     for index, phi in enumerate(assessment.safe):
         nowhere = np.full((len(phi), 3), np.nan)  # Φ was recorded, or made against another car
-        episode = Episode(assessment.plan.scenario, Mode.SAFE, assessment.plan.seed, 0)
+        episode = EpisodeSpec(assessment.plan.scenario, Mode.SAFE, assessment.plan.seed, 0)
         rows.append((EpisodeLog(episode, Outcome.ARRIVED, phi.positions, nowhere, math.nan, math.nan), index, ""))
     for result in assessment.results:
         for index, kamikaze in enumerate(result.kamikaze):
@@ -376,7 +376,7 @@ class StoredEpisodes:
     def __len__(self) -> int:
         return len(self.mode)
 
-    def log(self, number: int, episode: Episode) -> EpisodeLog:
+    def log(self, number: int, episode: EpisodeSpec) -> EpisodeLog:
         """Return the log of an episode, whose specification the file does not hold as a whole."""
         return EpisodeLog(
             episode,

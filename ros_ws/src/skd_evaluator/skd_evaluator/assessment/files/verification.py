@@ -18,7 +18,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json, sha256_of
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
@@ -105,7 +105,7 @@ def _confidence(figures: Mapping[str, Any]) -> float:
 
 
 def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Trajectory]) -> EpisodeLog:
-    episode = Episode(
+    episode = EpisodeSpec(
         scenario,
         Mode(int(stored.mode[number])),
         int(stored.further["seed"]),

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.timing import UNTIMED, Timing, tick_stamp
 
 _State = TypeVar("_State", bound=tuple[float, ...])
@@ -72,12 +72,12 @@ class Samples:
         """Return how many states have come."""
         return len(self.car) + len(self.adversary)
 
-    def missing(self, episode: Episode, start: int, result: EpisodeEnd) -> int:
+    def missing(self, episode: EpisodeSpec, start: int, result: EpisodeEnd) -> int:
         """Return how many states of an episode have not come yet."""
         needed = stamps(episode, start, result)
         return sum((stamp not in self.car) + (stamp not in self.adversary) for stamp in needed)
 
-    def log(self, episode: Episode, start: int, result: EpisodeEnd) -> EpisodeLog:
+    def log(self, episode: EpisodeSpec, start: int, result: EpisodeEnd) -> EpisodeLog:
         """Return the log of an episode that started at `start` (ns); its states must all have come."""
         needed = stamps(episode, start, result)
         return EpisodeLog(
@@ -113,12 +113,12 @@ def result_from_message(message: Any) -> EpisodeEnd:
     )
 
 
-def aborted(episode: Episode, reason: str) -> EpisodeLog:
+def aborted(episode: EpisodeSpec, reason: str) -> EpisodeLog:
     """Return the log of an episode that could not be finished."""
     nothing = np.array([(*episode.start, math.nan)])
     return EpisodeLog(episode, Outcome.ABORTED, nothing[:, :2], nothing * math.nan, reason=reason)
 
 
-def stamps(episode: Episode, start: int, result: EpisodeEnd) -> list[int]:
+def stamps(episode: EpisodeSpec, start: int, result: EpisodeEnd) -> list[int]:
     """Return the stamps (ns) of an episode's ticks."""
     return [tick_stamp(start, tick, episode.scenario.time_step) for tick in range(result.ticks + 1)]

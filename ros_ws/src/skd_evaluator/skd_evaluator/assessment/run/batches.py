@@ -24,8 +24,8 @@ from skd_sim.scenario.road import is_straight_north
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import command_limits, drive_straight
 from skd_sim.world.episode import (
-    Episode,
     EpisodeLog,
+    EpisodeSpec,
     Mode,
     Outcome,
     Role,
@@ -74,7 +74,7 @@ class _Numbers(NamedTuple):
     minimum_impact_speed: float
 
 
-def why_not_side_by_side(episode: Episode) -> str:
+def why_not_side_by_side(episode: EpisodeSpec) -> str:
     """Return why episodes like this one are run one by one, in a few words; empty where they need not be."""
     scenario = episode.scenario
     if not is_own_world(episode.simulator):
@@ -151,14 +151,14 @@ def _advance_all(
 class Replay:
     """Runs replays of one trial one after the other: the logs are those of whole episodes, to the bit."""
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: EpisodeSpec) -> None:
         """Draw what all of them have in common; see `why_not_side_by_side`."""
         scenario = episode.scenario
         self._numbers, self._noise = _numbers(episode), _noise(episode, scenario.ticks)
         self._begin = _first_state(episode)
         self._seed = controller_seed(episode.seed, episode.episode_id)
 
-    def run(self, episode: Episode, controller: Controller) -> EpisodeLog:
+    def run(self, episode: EpisodeSpec, controller: Controller) -> EpisodeLog:
         """Run one that differs from the first in its trajectory alone.
 
         Raises:
@@ -187,7 +187,7 @@ class Replay:
         return _log(episode, found)
 
 
-def _log(episode: Episode, states: FloatArray) -> EpisodeLog:
+def _log(episode: EpisodeSpec, states: FloatArray) -> EpisodeLog:
     share, impact = states[-1, SHARE:].tolist()
     collided = share <= 1.0
     time = (len(states) - 2 + share) * episode.scenario.time_step if collided else math.nan
@@ -210,7 +210,7 @@ def _answers_batches(car: CarUnderTest) -> bool:
     return takes_batches(make_controller(car.controller))
 
 
-def replayed(episodes: Sequence[Episode]) -> list[EpisodeLog]:
+def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
     """Return the logs of episodes in which the adversary follows a trajectory, all of one car, side by side.
 
     Args:
@@ -256,21 +256,21 @@ def replayed(episodes: Sequence[Episode]) -> list[EpisodeLog]:
     return [_log(one, found[row, : last[row] + 1]) for row, one in enumerate(episodes)]
 
 
-def _first_state(episode: Episode) -> FloatArray:
+def _first_state(episode: EpisodeSpec) -> FloatArray:
     start = generator(episode.seed, episode.episode_id, Role.START)
     car = first_car_state(episode.scenario, episode.start_gap, start)
     user = episode.scenario.adversary.first_state(*episode.start)
     return np.array([*car, *user, *user[:2], math.inf, math.nan])
 
 
-def _noise(episode: Episode, ticks: int) -> FloatArray:
+def _noise(episode: EpisodeSpec, ticks: int) -> FloatArray:
     """Return what the car's noise is, relative, of speed and acceleration, ticks × 2."""
     car = episode.scenario.car
     draws = generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2))
     return np.multiply((car.speed_noise, car.acceleration_noise), 2.0 * draws - 1.0)
 
 
-def _numbers(episode: Episode) -> _Numbers:
+def _numbers(episode: EpisodeSpec) -> _Numbers:
     scenario = episode.scenario
     car, limits = scenario.car, command_limits(scenario)
     return _Numbers(
@@ -286,7 +286,7 @@ def _numbers(episode: Episode) -> _Numbers:
     )
 
 
-def _made(episode: Episode) -> UserController:
+def _made(episode: EpisodeSpec) -> UserController:
     controller = make_controller(episode.controller)
     assert isinstance(controller, UserController)
     period = control_period_of(controller, episode.controller)
@@ -295,7 +295,7 @@ def _made(episode: Episode) -> UserController:
     return controller
 
 
-def _confirm(episodes: Sequence[Episode], asked_of_all: Sequence[_Asked]) -> None:
+def _confirm(episodes: Sequence[EpisodeSpec], asked_of_all: Sequence[_Asked]) -> None:
     """Ask the single form what `commands` was asked: some episodes as a whole, and then each once.
 
     Raises:
@@ -331,7 +331,7 @@ def _moments(asked_of_all: Sequence[_Asked], count: int, rng: np.random.Generato
     return chosen
 
 
-def _compare(single: UserController, episode: Episode, asked: _Asked, at: int) -> None:
+def _compare(single: UserController, episode: EpisodeSpec, asked: _Asked, at: int) -> None:
     """Ask the single form in one state.
 
     Raises:

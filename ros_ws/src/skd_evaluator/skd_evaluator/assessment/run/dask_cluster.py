@@ -25,7 +25,7 @@ from typing import Any, Final, NamedTuple
 from skd_sim.controllers.isolated import CALL_LIMIT, end_children, set_call_limit
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
-from skd_sim.world.episode import AbortKind, Episode, abort_reason
+from skd_sim.world.episode import AbortKind, EpisodeSpec, abort_reason
 
 from skd_evaluator.assessment.run.workers import Done, InProcessRunner, Pace, Workers, do, warm_up_with
 from skd_evaluator.errors import AssessmentError, OutOfReachError
@@ -218,7 +218,7 @@ class DaskRunner(Workers):
         self._addresses: list[str] = []
         self._looked = self._seen = 0.0
 
-    def start(self, warm_up: Sequence[Episode] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
+    def start(self, warm_up: Sequence[EpisodeSpec] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
         """Connect, compare the workers with this process, and have them compile what `warm_up` needs.
 
         Raises:
@@ -287,7 +287,7 @@ class DaskRunner(Workers):
         self._check()
         return {address: call.exception() or call.result() for address, call in calls.items() if not call.cancelled()}
 
-    def _expect(self, episodes: Sequence[Episode]) -> None:
+    def _expect(self, episodes: Sequence[EpisodeSpec]) -> None:
         names = {episode.controller for episode in episodes if not episode.car.is_own}
         with self._lock:
             for name in names - self._controllers.keys():

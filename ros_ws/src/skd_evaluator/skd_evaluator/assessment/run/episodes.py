@@ -20,8 +20,8 @@ from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.episode import (
     AbortKind,
-    Episode,
     EpisodeLog,
+    EpisodeSpec,
     Mode,
     Outcome,
     abort_reason,
@@ -35,7 +35,7 @@ from skd_evaluator.assessment.run.assembly import aborted
 
 
 def run_episode(
-    episode: Episode,
+    episode: EpisodeSpec,
     controller: Controller | None = None,
     adversary: Adversary | None = None,
     simulator: Simulator | None = None,
@@ -69,7 +69,7 @@ def _examined(log: EpisodeLog) -> EpisodeLog:
 
 
 def _run(
-    episode: Episode, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
+    episode: EpisodeSpec, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
 ) -> EpisodeLog:
     require_others(simulator, type(simulator).__name__, episode)
     frame = simulator.reset(episode)

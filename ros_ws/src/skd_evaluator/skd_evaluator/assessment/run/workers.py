@@ -43,7 +43,7 @@ from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -127,7 +127,7 @@ def _sent(log: EpisodeLog) -> tuple[Any, ...]:
     return tuple(getattr(log, name) for name in _SENT)
 
 
-def _run_and_send(episode: Episode) -> tuple[Any, ...]:
+def _run_and_send(episode: EpisodeSpec) -> tuple[Any, ...]:
     """Run an episode, where code of others is in it in a child: should that be lost, the episode is aborted."""
     simulator = "" if is_own_world(episode.simulator) else f"simulator {episode.simulator}"
     whose = ", ".join(filter(None, (episode.car.user_code, simulator)))
@@ -137,11 +137,11 @@ def _run_and_send(episode: Episode) -> tuple[Any, ...]:
         return _lost_episode(episode, error.reason)
 
 
-def _run_here(episode: Episode) -> tuple[Any, ...]:
+def _run_here(episode: EpisodeSpec) -> tuple[Any, ...]:
     return _sent(run_episode(episode))
 
 
-def _lost_episode(episode: Episode, reason: str) -> tuple[Any, ...]:
+def _lost_episode(episode: EpisodeSpec, reason: str) -> tuple[Any, ...]:
     return _sent(aborted(episode, reason))
 
 
@@ -173,7 +173,7 @@ class Workers(ABC):
         self.close(wait=kind is None)
 
     @abstractmethod
-    def start(self, warm_up: Sequence[Episode] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
+    def start(self, warm_up: Sequence[EpisodeSpec] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
         """Start the workers.
 
         Args:
@@ -208,7 +208,7 @@ class Workers(ABC):
         """Whether the work is done in other processes at all."""
         return True
 
-    def _expect(self, episodes: Sequence[Episode]) -> None:
+    def _expect(self, episodes: Sequence[EpisodeSpec]) -> None:
         """Be told which episodes are to come."""
         return
 
@@ -224,7 +224,7 @@ class Workers(ABC):
         """Return whether an executor's exception says that a worker was lost."""
         return isinstance(error, BrokenExecutor)
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         """Run all of `episodes` and yield their logs in the same order.
 
         An episode whose process ends is aborted, with the reason.
@@ -326,7 +326,7 @@ class InProcessRunner(Workers):
         self._pool: ProcessPoolExecutor | None = None
         self._lock = threading.Lock()  # of the pool
 
-    def start(self, warm_up: Sequence[Episode] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
+    def start(self, warm_up: Sequence[EpisodeSpec] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
         """Start the workers, after `warm_up` and `inherited` have run here: forked workers have what these compiled.
 
         Call it before other threads start: a process with threads is not safe to fork.
@@ -362,7 +362,7 @@ class InProcessRunner(Workers):
         pool.shutdown(cancel_futures=True)
         end_children()
 
-    def _expect(self, episodes: Sequence[Episode]) -> None:
+    def _expect(self, episodes: Sequence[EpisodeSpec]) -> None:
         self._isolated |= not all(episode.car.is_own and is_own_world(episode.simulator) for episode in episodes)
 
     @property
@@ -463,7 +463,7 @@ def available_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def warm_up_with(episodes: Sequence[Episode]) -> None:
+def warm_up_with(episodes: Sequence[EpisodeSpec]) -> None:
     """Have this process compile what episodes like these need."""
     for episode in episodes:
         run_episode(episode, BasicController())  # compiles all the same, and leaves a user's controller alone

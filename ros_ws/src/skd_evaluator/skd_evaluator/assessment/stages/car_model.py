@@ -38,7 +38,7 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge, Objective
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
@@ -166,7 +166,9 @@ def _starts(scenario: Scenario, runner: Runner) -> list[Trajectory]:
         ) from error
 
 
-def _recordings(runner: Runner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[RecordedEpisode]:
+def _recordings(
+    runner: Runner, episodes: Sequence[EpisodeSpec], label: str, progress: Progress
+) -> list[RecordedEpisode]:
     return [recording_of(log) for log in finished(runner, episodes, label, progress)]
 
 
@@ -182,7 +184,7 @@ def own_trials(
     *,
     begin: int = 0,
     objectives: Sequence[Objective] = DEFAULT_OBJECTIVES,
-) -> list[Episode]:
+) -> list[EpisodeSpec]:
     """Return kamikazes that plan with a model; the objectives take turns.
 
     Args:
@@ -194,7 +196,7 @@ def own_trials(
         objectives: the objectives of the kamikazes.
     """
     return [
-        Episode(
+        EpisodeSpec(
             plan.scenario,
             Mode.KAMIKAZE,
             SEED,
@@ -210,7 +212,7 @@ def own_trials(
     ]
 
 
-def finished(runner: Runner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[EpisodeLog]:
+def finished(runner: Runner, episodes: Sequence[EpisodeSpec], label: str, progress: Progress) -> list[EpisodeLog]:
     """Run episodes; return the logs of those that were not aborted, in order.
 
     Raises:

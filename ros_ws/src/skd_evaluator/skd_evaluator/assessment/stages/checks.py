@@ -25,7 +25,7 @@ from skd_sim.options.car_under_test import is_own_world
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import make_simulator
-from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Mode, Outcome, kind_of
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
@@ -207,7 +207,7 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
     return (f"{line}: how far people may deviate, and how seldom they are hit, is due to that, too",)
 
 
-def _undisturbed(plan: Plan, number: int) -> Episode:
+def _undisturbed(plan: Plan, number: int) -> EpisodeSpec:
     """Return an episode in which nobody is on the road, and the adversary stands a kilometre away."""
     clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
     public = replace(clocked, others=())
@@ -215,7 +215,7 @@ def _undisturbed(plan: Plan, number: int) -> Episode:
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
     away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
-    return Episode(
+    return EpisodeSpec(
         scenario,
         Mode.REPLAY,
         plan.seed,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, in_order, objective_results
@@ -78,7 +78,7 @@ def kamikaze_sets(
     total = plan.kamikaze_count * len(safe)
     label = f"kamikazes ({plan.objective})"
     while True:
-        batch: list[tuple[int, Episode]] = []
+        batch: list[tuple[int, EpisodeSpec]] = []
         for index, trajectory in enumerate(safe):
             trials = len(tried[index])
             missing = min(plan.kamikaze_count - found[index], cap - trials)

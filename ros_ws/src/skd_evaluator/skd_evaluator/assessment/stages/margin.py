@@ -16,7 +16,7 @@ from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import is_kept
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, Runner
@@ -70,7 +70,7 @@ def why_no_margin(plan: Plan, limit: int, *, whole_episodes: bool) -> str:
     return ""
 
 
-def exact_or_found(episode: Episode) -> Hit | None:
+def exact_or_found(episode: EpisodeSpec) -> Hit | None:
     """Return the hit of least deviation of a known car, or the best one found if the exact search lacks memory."""
     try:
         return exact_margin(episode)
@@ -78,7 +78,7 @@ def exact_or_found(episode: Episode) -> Hit | None:
         return search_margins([episode], {}, one_by_one).hits[0]
 
 
-def exact_margins(episodes: Sequence[Episode], runner: Workers, progress: Progress) -> list[Hit | None]:
+def exact_margins(episodes: Sequence[EpisodeSpec], runner: Workers, progress: Progress) -> list[Hit | None]:
     """Return the hit of least deviation in each of some episodes of a known car; None where there is none."""
     found = []
     for count, hit in enumerate(runner.map(exact_or_found, episodes), start=1):
@@ -88,7 +88,7 @@ def exact_margins(episodes: Sequence[Episode], runner: Workers, progress: Progre
 
 
 def minimal_deviations(
-    episodes: Sequence[Episode],
+    episodes: Sequence[EpisodeSpec],
     logs: Mapping[int, Sequence[EpisodeLog]],
     runner: Workers,
     progress: Progress,
@@ -127,7 +127,7 @@ def _effort(usual: Effort, limit: int) -> Effort:
 
 
 def with_planned_hits(
-    episodes: Sequence[Episode], hits: Sequence[Hit | None], logs: Mapping[int, Sequence[EpisodeLog]]
+    episodes: Sequence[EpisodeSpec], hits: Sequence[Hit | None], logs: Mapping[int, Sequence[EpisodeLog]]
 ) -> tuple[list[Hit | None], int]:
     """Return the hits, or better ones of planned kamikazes, and in how many trials these were better.
 
@@ -150,7 +150,7 @@ def with_planned_hits(
     return found, sum(new is not old for new, old in zip(found, hits, strict=True))
 
 
-def _without_noise(episode: Episode) -> Episode:
+def _without_noise(episode: EpisodeSpec) -> EpisodeSpec:
     """Return a trial in another simulator, whose car has nothing of the noise that SKD's own world draws."""
     car = replace(episode.scenario.car, speed_noise=0.0, acceleration_noise=0.0)
     return replace(episode, scenario=replace(episode.scenario, car=car), public=episode.public_scenario)
@@ -164,7 +164,7 @@ def _inconsistent(plan: Plan, number: int, trials: int) -> str:
 
 
 def _by_whole_episodes(
-    episodes: Sequence[Episode],
+    episodes: Sequence[EpisodeSpec],
     logs: Mapping[int, Sequence[EpisodeLog]],
     plan: Plan,
     runner: Runner,

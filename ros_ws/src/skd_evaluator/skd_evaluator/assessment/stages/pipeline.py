@@ -10,7 +10,7 @@ from typing import Final
 from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.options.registry import Registry
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import EpisodeSpec
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context
@@ -101,7 +101,7 @@ def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
         InProcessRunner(1).start(planners_of(plan, missing))
 
 
-def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[Episode]:
+def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[EpisodeSpec]:
     """Return short episodes that make the planners of a plan compile, by each of some objectives."""
     models, wanted = [plan.car_model], list(objectives)
     if car_model.needs_learning(plan):  # of whatever kind its model will be, and by the kamikazes from which it learns

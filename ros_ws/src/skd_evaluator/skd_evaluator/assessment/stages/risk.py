@@ -16,7 +16,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
-from skd_sim.world.episode import Episode, EpisodeLog, Role, generator
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Role, generator
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, RiskRequest, Runner
@@ -284,7 +284,7 @@ def unchanged_behaviour(name: str) -> Behaviour:
     return behaviour
 
 
-def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, trial: int, scale: float) -> Episode:
+def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, trial: int, scale: float) -> EpisodeSpec:
     """Return a crossing of a plan's risk as an episode.
 
     Args:

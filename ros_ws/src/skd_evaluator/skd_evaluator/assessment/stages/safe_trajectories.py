@@ -11,7 +11,7 @@ from skd_adversary.crossing.road_users import EAST, PEDESTRIAN
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, check_trajectory
-from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
@@ -70,10 +70,10 @@ def safe_trajectories(plan: Plan, runner: Runner, progress: Progress = silent) -
     return found
 
 
-def _safe_episode(plan: Plan, number: int) -> Episode:
+def _safe_episode(plan: Plan, number: int) -> EpisodeSpec:
     """Return an episode, by its id, that makes a safe trajectory if it arrives unharmed."""
     # The reference car decides once a tick, whatever the car under test does: φ are the same for all cars.
-    reference = Episode(
+    reference = EpisodeSpec(
         replace(plan.scenario, control_period=None),
         Mode.SAFE,
         plan.seed,
@@ -117,7 +117,9 @@ def _crosses(scenario: Scenario, way: Trajectory) -> bool:
     return False
 
 
-def single_episode(plan: Plan, mode: Mode, trial: int, safe: Trajectory | None = None, safe_number: int = 0) -> Episode:
+def single_episode(
+    plan: Plan, mode: Mode, trial: int, safe: Trajectory | None = None, safe_number: int = 0
+) -> EpisodeSpec:
     """Return one episode of a plan, the same that a campaign would run.
 
     Args:

@@ -10,7 +10,7 @@ from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import REGULATORY
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context
@@ -26,7 +26,7 @@ def without_noise(scenario: Scenario) -> Scenario:
     return dataclasses.replace(scenario, car=still)
 
 
-def static_episodes(scenario: Scenario, car: CarUnderTest) -> list[Episode]:
+def static_episodes(scenario: Scenario, car: CarUnderTest) -> list[EpisodeSpec]:
     """Return the static test of each impact place of a scenario's protocol, to be run.
 
     Args:
@@ -38,7 +38,7 @@ def static_episodes(scenario: Scenario, car: CarUnderTest) -> list[Episode]:
     """
     still = without_noise(scenario)
     return [
-        Episode(
+        EpisodeSpec(
             still,
             Mode.REPLAY,
             0,

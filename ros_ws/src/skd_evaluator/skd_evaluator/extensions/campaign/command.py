@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import EpisodeSpec
 
 from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
 from skd_evaluator.assessment.run.workers import available_workers
@@ -123,9 +123,9 @@ def _at_once(arguments: argparse.Namespace) -> int:
     return _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, arguments.workers or available_workers())
 
 
-def _planners(cells: Sequence[Cell]) -> list[Episode]:
+def _planners(cells: Sequence[Cell]) -> list[EpisodeSpec]:
     """Return short episodes that make the planners of all cells compile, one for those that share theirs."""
-    found: dict[tuple[object, ...], Episode] = {}
+    found: dict[tuple[object, ...], EpisodeSpec] = {}
     for cell in cells:
         for episode in planners_of(cell.plan, cell.objectives):
             kind = (episode.mode, episode.objective, episode.car_model, episode.car, episode.scenario.car.dynamics)

@@ -22,7 +22,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import Trajectory
 from skd_sim.world.timing import Timing
 
@@ -56,10 +56,10 @@ class Specifications:
         """Know nothing yet."""
         self._known: dict[int, tuple[object, bytes]] = {}
 
-    def digest(self, episode: Episode) -> bytes:
+    def digest(self, episode: EpisodeSpec) -> bytes:
         """Return a digest of all that an episode's specification says."""
         phi = episode.safe_trajectory
-        plain = [one.plain(getattr(episode, one.name)) for one in options_of(Episode)]
+        plain = [one.plain(getattr(episode, one.name)) for one in options_of(EpisodeSpec)]
         plain += [int(episode.mode), episode.seed, episode.episode_id]
         parts = [self._of(episode.scenario), b"" if phi is None else self._of(phi), repr(plain).encode()]
         if episode.public is not None:  # few have another one than their own
@@ -94,7 +94,7 @@ def to_bytes(log: EpisodeLog) -> bytes:
     return len(head).to_bytes(4, "little") + head + numbers.astype("<f8").tobytes()
 
 
-def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
+def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
     """Return the log of an episode; the inverse of `to_bytes`.
 
     Raises:
@@ -225,7 +225,7 @@ class EpisodeStore:
             found.update(row[0] for row in rows)
         return found
 
-    def get(self, cell: bytes, specification: bytes, episode: Episode) -> EpisodeLog:
+    def get(self, cell: bytes, specification: bytes, episode: EpisodeSpec) -> EpisodeLog:
         """Return what happened in an episode that there is.
 
         Raises:
@@ -318,7 +318,7 @@ class StoringRunner:
         self._specifications = Specifications()
         self.given = self.read = 0
 
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         """Run all of `episodes`; see `Runner`.
 
         Raises:

@@ -11,7 +11,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.road_user import CAR, Body, called, height_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, scene_of, velocities
@@ -159,7 +159,7 @@ def pointing(body: Body, velocity: FloatArray) -> FloatArray:
 
 def start_of(scenario: Scenario, phi: FloatArray) -> tuple[float, float, float, float]:
     """Return where the car begins when it meets φ (n × 2, m), before an episode's draw: x, y (m), heading, speed."""
-    episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=Trajectory(phi, scenario.time_step))
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 0, 0, safe_trajectory=Trajectory(phi, scenario.time_step))
     x, y, heading = road_pose(scenario.road.line, -(episode.start_gap + scenario.car.front))
     return float(x), float(y), math.remainder(float(heading), math.tau), scenario.car.start_speed
 

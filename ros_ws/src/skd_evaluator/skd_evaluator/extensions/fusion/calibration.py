@@ -29,7 +29,7 @@ from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import CarState, Trajectory
 
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -180,7 +180,7 @@ class ShownRecording:
         self._states, self._inner = states, WorldSimulator()
         self.places: list[tuple[float, float]] = []
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Begin where the recording begins, at its speed."""
         frame = self._inner.reset(episode)
         world, self._periods = self._inner.world, episode.scenario.control_periods
@@ -237,7 +237,7 @@ def off_by(drive: ReplayedDrive) -> FloatArray:
         scenario.car, start_gap_range=0.0, meet_safe_trajectory=False, speed_noise=0.0, acceleration_noise=0.0
     )
     collision = replace(scenario.collision, minimum_impact_speed=_NO_CONTACT)
-    episode = Episode(
+    episode = EpisodeSpec(
         replace(scenario, car=car, collision=collision),
         Mode.REPLAY,
         0,

@@ -11,7 +11,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.scenario.scenario_file import REGULATORY, lineage
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.context import Progress
@@ -250,7 +250,7 @@ def evaluated_grid(source: str, request: NcapRequest, runner: Workers, progress:
 
 def _begun(
     source: str, test: NcapTest, matrix: ProtocolMatrix | None, request: NcapRequest
-) -> tuple[NcapCell, Plan | None, Episode | None]:
+) -> tuple[NcapCell, Plan | None, EpisodeSpec | None]:
     """Return an empty cell, its plan and its static test, if there are any."""
     cell = in_matrix(NcapCell(speed=test.speed, target=test.target, place=test.place, why=test.why), test.point)
     try:

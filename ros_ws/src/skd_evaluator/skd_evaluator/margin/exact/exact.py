@@ -20,7 +20,7 @@ from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.contact import first_contact
-from skd_sim.world.episode import Episode, controller_generator, controller_seed
+from skd_sim.world.episode import EpisodeSpec, controller_generator, controller_seed
 from skd_sim.world.state import Trajectory
 from skd_sim.world.world import Contact, make_world
 
@@ -46,7 +46,7 @@ TOLERANCE = 1e-9
 """m, between a search and the trajectory that the world gives for its moves."""
 
 
-def exact_margin(episode: Episode, upper_bound: float | None = None) -> Hit | None:
+def exact_margin(episode: EpisodeSpec, upper_bound: float | None = None) -> Hit | None:
     """Return the hit of least deviation, under an episode's draws.
 
     A hit is a contact at `collision.hit_speed` or more of the car's own speed. A slower one that the world counts ends
@@ -85,7 +85,7 @@ def exact_margin(episode: Episode, upper_bound: float | None = None) -> Hit | No
     return Hit(exact, trajectory, duration, contact.speed, gap)
 
 
-def _walk(episode: Episode, moves: npt.NDArray[np.int64]) -> tuple[Trajectory, float, Contact]:
+def _walk(episode: EpisodeSpec, moves: npt.NDArray[np.int64]) -> tuple[Trajectory, float, Contact]:
     """Return the trajectory of moves in the episode's own world, its duration in ticks, and the contact at its end.
 
     The last tick has to end in a hit, and none before in a collision: a search that found something else is wrong.

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.world.episode import Episode, Role, generator
+from skd_sim.world.episode import EpisodeSpec, Role, generator
 from skd_sim.world.state import next_speed, travelled
 from skd_sim.world.world import make_world
 
@@ -438,7 +438,7 @@ class ExactProblem(NamedTuple):
     hit_speed: float
 
 
-def make_problem(episode: Episode) -> ExactProblem:
+def make_problem(episode: EpisodeSpec) -> ExactProblem:
     """Return a kamikaze episode in numbers, the car's noise of every tick included."""
     scenario, world = episode.scenario, make_world(episode)
     car, adversary, ticks = scenario.car, scenario.adversary, scenario.ticks

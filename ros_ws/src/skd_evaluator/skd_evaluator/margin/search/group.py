@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import IntArray
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.margin.search.planner import TrialPlanner
 from skd_evaluator.margin.search.surrogate import Surrogate
 from skd_evaluator.margin.search.trial import ActionSpace, Candidate, Trial, changed, excursion
 
-Drive = Callable[[Sequence[Episode]], Iterable[EpisodeLog]]
+Drive = Callable[[Sequence[EpisodeSpec]], Iterable[EpisodeLog]]
 """Runs episodes and returns their logs in order."""
 PLAN, EXCURSION, OWN, NEAR_MISS, OTHER = SOURCES = (
     "plans",
@@ -44,7 +44,7 @@ class Proposal(NamedTuple):
     source: str
     offered: bool
     candidate: Candidate
-    episode: Episode
+    episode: EpisodeSpec
 
 
 @dataclass
@@ -67,7 +67,7 @@ class Group:
         brought: what each source has brought.
     """
 
-    def __init__(self, episodes: Sequence[Episode], excursions: int, free_plans: bool = False) -> None:
+    def __init__(self, episodes: Sequence[EpisodeSpec], excursions: int, free_plans: bool = False) -> None:
         """Begin with φ itself and some excursions from it.
 
         Args:

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.group import OTHER, SOURCES, Brought, Group
@@ -68,7 +68,7 @@ class SearchedMargins:
     """
 
     hits: list[Hit | None]
-    episodes: list[Episode | None]
+    episodes: list[EpisodeSpec | None]
     search: Search
     means: tuple[tuple[int, float], ...]
     driven: int
@@ -81,7 +81,7 @@ argument says what the round is for, in a progress line."""
 
 
 def search_margins(
-    episodes: Sequence[Episode],
+    episodes: Sequence[EpisodeSpec],
     known: Mapping[int, Sequence[EpisodeLog]],
     rounds: Rounds,
     effort: Effort = IN_PROCESS,
@@ -132,7 +132,7 @@ class OtherHit(NamedTuple):
 
 
 def margins_with_other_hits(
-    episodes: Sequence[Episode], known: Mapping[int, EpisodeLog], hits: Sequence[OtherHit], rounds: Rounds
+    episodes: Sequence[EpisodeSpec], known: Mapping[int, EpisodeLog], hits: Sequence[OtherHit], rounds: Rounds
 ) -> list[float]:
     """Return the margins of trials, m, in which hits of others are tried too; nothing further is searched.
 
@@ -163,13 +163,13 @@ class _Search:
 
     def __init__(
         self,
-        episodes: Sequence[Episode],
+        episodes: Sequence[EpisodeSpec],
         known: Mapping[int, Sequence[EpisodeLog]],
         rounds: Rounds,
         effort: Effort,
     ) -> None:
         self._rounds = rounds
-        order: dict[tuple[int, bytes], list[Episode]] = {}
+        order: dict[tuple[int, bytes], list[EpisodeSpec]] = {}
         for episode in episodes:
             assert episode.safe_trajectory is not None
             number, path = episode.episode_id >> 32, episode.safe_trajectory.positions.tobytes()

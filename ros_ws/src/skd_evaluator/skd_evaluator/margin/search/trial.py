@@ -17,7 +17,7 @@ from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_name
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.scenario.road import right_and_along, road_position
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.margin.actions import velocities
@@ -182,13 +182,13 @@ class Trial:
         driven: how many candidates were driven.
     """
 
-    def __init__(self, episode: Episode, space: ActionSpace) -> None:
+    def __init__(self, episode: EpisodeSpec, space: ActionSpace) -> None:
         assert episode.safe_trajectory is not None
         self.episode, self.space = episode, space
         self.prescribed = prescribed(episode, space.path)
         self.least = episode.scenario.eta_max
         self.best: Hit | None = None
-        self.hit: Episode | None = None
+        self.hit: EpisodeSpec | None = None
         self.actions: IntArray | None = None
         self.tick = 0
         self.near_misses: list[NearMiss] = []
@@ -199,7 +199,7 @@ class Trial:
         """Whether nothing less can be found."""
         return self.least <= ENOUGH
 
-    def specification(self, candidate: Candidate) -> Episode | None:
+    def specification(self, candidate: Candidate) -> EpisodeSpec | None:
         """Return the episode that drives a candidate as far as it is of use; None: it cannot be better than the best.
 
         It is a replay, so any stack and any simulator can run it. The car starts as in the trial.
@@ -249,7 +249,7 @@ class Trial:
         self.near_misses = kept[-NEAR_MISSES:]
 
 
-def prescribed(episode: Episode, positions: FloatArray) -> Episode:
+def prescribed(episode: EpisodeSpec, positions: FloatArray) -> EpisodeSpec:
     """Return the episode in which the road user follows positions (n × 2, m) under the draws of a trial."""
     car = replace(episode.scenario.car, meet_safe_trajectory=False, start_gap=episode.start_gap)
     path = Trajectory(positions, episode.scenario.time_step, name="candidate")

@@ -10,7 +10,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator
 from skd_sim.simulators.metadrive.pedals import VERSION, require_metadrive
 from skd_sim.simulators.simulator import Frame
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import EpisodeSpec
 
 
 class MetaDriveSimulator:
@@ -31,7 +31,7 @@ class MetaDriveSimulator:
         require_metadrive()
         self._inner: FramedSimulator | None = None
 
-    def reset(self, episode: Episode) -> Frame:
+    def reset(self, episode: EpisodeSpec) -> Frame:
         """Build what the episode needs, and place car and adversary.
 
         Raises:
