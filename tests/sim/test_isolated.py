@@ -25,6 +25,7 @@ from skd_sim.controllers.isolated import (
     begin_call,
     end_children,
     isolated,
+    isolated_each,
     set_call_limit,
 )
 from skd_sim.errors import AssessmentError, UsageError
@@ -139,6 +140,26 @@ def test_a_child_that_ends_costs_its_work_and_is_replaced(work: Any, item: objec
     assert kind_of(caught.value.reason) == AbortKind.ENDED
     assert "(controller a:Car)" in caught.value.reason
     assert isolated("controller a:Car", pid, None) != before
+
+
+def double_unless_three(number: int) -> int:
+    if number == 3:
+        os._exit(4)
+    if number == 6:
+        raise UsageError("six")
+    return 2 * number
+
+
+def test_of_many_items_those_that_cost_the_child_are_lost_alone() -> None:
+    def lost(number: int, reason: str) -> int:
+        assert "exit code 4" in reason
+        return -number
+
+    found = []
+    with pytest.raises(UsageError, match="six"):
+        found.extend(isolated_each("mine", double_unless_three, range(9), lost))
+    assert found == [0, 2, 4, -3, 8, 10]
+    assert list(isolated_each("mine", double, range(3), lost)) == [0, 2, 4]
 
 
 @pytest.mark.parametrize("how", ["sleeps", "loops", "holds Python's lock", "is stopped"])

@@ -7,6 +7,7 @@ so the workers run SKD's own; where one dies all the same, what all of them were
 
 from __future__ import annotations
 
+import itertools
 import math
 import multiprocessing
 import os
@@ -36,6 +37,7 @@ from skd_sim.controllers.isolated import (
     LostProcessError,
     end_children,
     isolated,
+    isolated_each,
     portable,
     set_call_limit,
 )
@@ -81,8 +83,7 @@ def do(work: Callable[[Any], Any], items: Sequence[Any]) -> Done:
     results: list[Any] = []
     error, begin = None, time.perf_counter()
     try:
-        for item in items:
-            results.append(work(item))
+        results.extend(_run_all_and_send(items) if work is _run_and_send else map(work, items))
     except BaseException as raised:  # whatever a user's code raises
         error = portable(raised)
     return Done(results, error, (time.perf_counter() - begin) / max(1, len(results) + (error is not None)))
@@ -128,13 +129,20 @@ def _sent(log: EpisodeLog) -> tuple[Any, ...]:
 
 
 def _run_and_send(episode: EpisodeSpec) -> tuple[Any, ...]:
-    """Run an episode, where code of others is in it in a child: should that be lost, the episode is aborted."""
+    """Run an episode; see `_run_all_and_send`."""
+    (sent,) = _run_all_and_send([episode])
+    return sent
+
+
+def _run_all_and_send(episodes: Sequence[EpisodeSpec]) -> Iterator[tuple[Any, ...]]:
+    """Run episodes, where code of others is in them in a child: one in which that is lost is aborted."""
+    for whose, some in itertools.groupby(episodes, _code_of_others):
+        yield from isolated_each(whose, _run_here, list(some), _lost_episode)
+
+
+def _code_of_others(episode: EpisodeSpec) -> str:
     simulator = "" if is_own_world(episode.simulator) else f"simulator {episode.simulator}"
-    whose = ", ".join(filter(None, (episode.car.user_code, simulator)))
-    try:
-        return isolated(whose, _run_here, episode)
-    except LostProcessError as error:
-        return _lost_episode(episode, error.reason)
+    return ", ".join(filter(None, (episode.car.user_code, simulator)))
 
 
 def _run_here(episode: EpisodeSpec) -> tuple[Any, ...]:
