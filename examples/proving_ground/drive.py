@@ -73,7 +73,7 @@ def record(bag: Path, times: np.ndarray, car: np.ndarray, dummy: np.ndarray, rng
             places, moments = (dummy if topic == DUMMY else car), np.arange(0.0, times[-1], 1.0 / rate)
             x, y = (np.interp(moments, times, column) for column in places[:, :2].T)
             seen = on_site(np.column_stack([x, y])) + NOISE * rng.standard_normal((len(moments), 2))
-            speeds = np.interp(moments, times, car[:, 2])
+            speeds = np.interp(moments, times, car[:, 3])
             for moment, place, speed in zip(moments, seen, speeds, strict=True):
                 stamp = begin + float(moment)
                 writer.write(connection, int(stamp * 1e9), message(topic, stamp, place, heading, speed))

@@ -213,7 +213,7 @@ def test_not_identifiable(multiplier, count, unknown, reason):
 
 def test_logs_that_cannot_be_one_car():
     def recording(step: float, speed: float = 5.0) -> RecordedEpisode:
-        car = np.array([[0.0, 0.0, speed], [0.0, 1.5, speed]])
+        car = np.array([[0.0, 0.0, np.pi / 2, speed], [0.0, 1.5, np.pi / 2, speed]])
         return RecordedEpisode(np.zeros((2, 2)), car, step, 2.25, 2.25)
 
     with pytest.raises(UsageError, match="no episode with a tick"):

@@ -77,7 +77,7 @@ def test_a_car_forgets_an_episode_before_the_next(car):
         np.testing.assert_array_equal(log.car, first.car)
         np.testing.assert_array_equal(log.adversary, first.adversary)
         assert (log.outcome, log.clipped) == (first.outcome, 0)
-    assert np.ptp(first.car[:, 2]) > 0.5 or car.family == "basic"  # it does something
+    assert np.ptp(first.car[:, 3]) > 0.5 or car.family == "basic"  # it does something
 
 
 def test_curves_are_refused_by_who_knows_none():
@@ -105,7 +105,7 @@ def test_the_brake_by_time_to_collision_creeps_towards_who_stands_in_its_way():
     assert log.outcome != Outcome.COLLISION or log.impact_speed < scenario.collision.hit_speed
     gaps = 2.0 - (log.car[:, 1] + FRONT) - RADIUS
     late = slice(12, 20)
-    assert np.median(gaps[late] / log.car[late, 2]) == pytest.approx(CollisionTimeBrake.THRESHOLD, rel=0.2)
+    assert np.median(gaps[late] / log.car[late, 3]) == pytest.approx(CollisionTimeBrake.THRESHOLD, rel=0.2)
 
 
 def test_a_latched_brake_acts_four_decisions_late_and_holds_on():
@@ -130,7 +130,7 @@ def test_who_slows_near_anybody_never_stops():
     stands = Trajectory(np.tile([[-1.5, 2.0]], (30, 1)), 0.3)
     for kind, name in ((SlowsNearAnybody, "SlowsNearAnybody"), (SlowsLate, "SlowsLate")):
         log = run_episode(EpisodeSpec(CROSSING, Mode.REPLAY, 0, 0, stands, controller=f"cars.slows:{name}"))
-        assert log.car[:, 2].min() > 0.8 * kind.LEAST
+        assert log.car[:, 3].min() > 0.8 * kind.LEAST
 
 
 @given(st.floats(0.1, 8.0), st.floats(8.1, 40.0))

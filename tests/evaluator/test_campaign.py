@@ -65,7 +65,7 @@ class StubRunner:
             start = np.array(episode.start)
             walked = start + np.array([[0.0, 0.0], [0.5, 0.0], [1.0, -1.0]])
             hit = (0.5, 4.0) if (outcome := self.decide(episode)) == Outcome.COLLISION else ()
-            yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit)
+            yield EpisodeLog(episode, outcome, walked, np.zeros((3, 4)), *hit)
 
 
 def trial(episode: EpisodeSpec) -> int:

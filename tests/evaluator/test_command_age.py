@@ -10,7 +10,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.timing import Timing
 
 EPISODE = EpisodeSpec(load_scenario("crossing"), Mode.SAFE, 0, 0)
-NOTHING = np.zeros((1, 2)), np.zeros((1, 3))
+NOTHING = np.zeros((1, 2)), np.zeros((1, 4))
 
 
 def log(timing: Timing, outcome: Outcome = Outcome.ARRIVED) -> EpisodeLog:

@@ -142,7 +142,7 @@ def log_of(episode: EpisodeSpec, frames: Iterator[Frame]) -> EpisodeLog:
         episode,
         last.outcome,
         np.array([frame.adversary[:2] for frame in at_ticks]),
-        np.array([(frame.car.x, frame.car.y, frame.car.speed) for frame in at_ticks]),
+        np.array([frame.car for frame in at_ticks]),
         *last.impact(episode.scenario.time_step),
     )
 

@@ -22,7 +22,9 @@ EDGE = 0.9 + 0.25  # half of the car, and the disc
 def log_of(scenario: Scenario, adversary: np.ndarray, car: np.ndarray, impact_time: float) -> EpisodeLog:
     phi = Trajectory(np.array(adversary), STEP)
     episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, safe_trajectory=phi)
-    return EpisodeLog(episode, Outcome.COLLISION, np.array(adversary), np.array(car), impact_time, 5.0)
+    return EpisodeLog(
+        episode, Outcome.COLLISION, np.array(adversary), np.insert(np.array(car), 2, 0.0, axis=1), impact_time, 5.0
+    )
 
 
 def crosses(speed: float, y: float, velocity: float = 2.0, drift: float = 0.0) -> EpisodeLog:

@@ -49,7 +49,7 @@ def log_of(one: EpisodeSpec, rows: int = 3) -> EpisodeLog:
     """What happened, different for every episode."""
     draws = np.random.default_rng(one.episode_id)
     return EpisodeLog(
-        one, Outcome.COLLISION, draws.normal(size=(rows, 2)), draws.normal(size=(rows, 3)), 0.4, 3.25, clipped=2
+        one, Outcome.COLLISION, draws.normal(size=(rows, 2)), draws.normal(size=(rows, 4)), 0.4, 3.25, clipped=2
     )
 
 
@@ -81,7 +81,7 @@ def bits(log: EpisodeLog) -> list[bytes | str]:
 
 
 @given(
-    st.integers(1, 4).flatmap(lambda rows: st.lists(FLOATS, min_size=5 * rows, max_size=5 * rows)),
+    st.integers(1, 4).flatmap(lambda rows: st.lists(FLOATS, min_size=6 * rows, max_size=6 * rows)),
     st.sampled_from(Outcome),
     st.tuples(FLOATS, FLOATS, FLOATS),
     st.lists(FLOATS, max_size=3),
@@ -90,10 +90,10 @@ def bits(log: EpisodeLog) -> list[bytes | str]:
     st.booleans(),
 )
 def test_a_record_loses_nothing(numbers, outcome, three, ages, whole, reason, believed):
-    states = np.array(numbers).reshape(-1, 5)
+    states = np.array(numbers).reshape(-1, 6)
     log = EpisodeLog(
         episode(0), outcome, states[:, :2], states[:, 2:], three[0], three[1], whole[0], reason, whole[1],
-        Timing(tuple(ages), whole[2], three[2]), states[:, 1:] if believed else None,
+        Timing(tuple(ages), whole[2], three[2]), states[:, 2:] if believed else None,
     )  # fmt: skip
     read = from_bytes(to_bytes(log), log.episode)
     assert bits(read) == bits(log)

@@ -160,7 +160,7 @@ class _Aborts:
     def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         nothing = np.zeros((1, 2))
         for one in episodes:
-            yield EpisodeLog(one, Outcome.ABORTED, nothing, np.zeros((1, 3)), reason="no licence")
+            yield EpisodeLog(one, Outcome.ABORTED, nothing, np.zeros((1, 4)), reason="no licence")
 
 
 def test_a_car_that_cannot_be_run_cannot_be_learned(small_lessons: None) -> None:

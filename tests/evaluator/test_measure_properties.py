@@ -37,7 +37,7 @@ def world(phi: np.ndarray, walks: Sequence[np.ndarray], shares: Sequence[float])
     for number, (walk, share) in enumerate(zip(walks, shares, strict=True)):
         spec = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, number, safe_trajectory=safe)
         time = (len(walk) - 2 + share) * STEP
-        car = np.zeros((len(walk), 3))
+        car = np.zeros((len(walk), 4))
         pairs.append(pair_of(EpisodeLog(spec, Outcome.COLLISION, walk, car, time, 3.0)))
     return safe, pairs
 

@@ -45,7 +45,7 @@ def twin(monkeypatch):
 def log(outcome: Outcome, impact: float, own: float | None) -> EpisodeLog:
     phi = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step)
     episode = EpisodeSpec(CROSSING, Mode.REPLAY, 0, 0, safe_trajectory=phi)
-    return EpisodeLog(episode, outcome, np.zeros((2, 2)), np.zeros((2, 3)), impact, 5.0, own_contact=own)
+    return EpisodeLog(episode, outcome, np.zeros((2, 2)), np.zeros((2, 4)), impact, 5.0, own_contact=own)
 
 
 def test_contacts_that_differ_are_counted_and_said():

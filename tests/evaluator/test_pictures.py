@@ -46,7 +46,7 @@ def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> Ob
         for i in range(count):
             episode = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, 1000 * k + i, safe_trajectory=phi)
             walked = phi.positions[:6] + np.cumsum(rng.normal(0.0, 0.2, (6, 2)), axis=0)
-            car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full(6, 8.0)])
+            car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full((6, 2), (np.pi / 2, 8.0))])
             logs.append(EpisodeLog(episode, Outcome.COLLISION, walked, car, 1.4, 5.0))
         sets.append(KamikazeSet(phi, tuple(logs), 2 * count + 1))
     return objective_result(Plan(CROSSING, safe_count=len(counts)), sets)

@@ -150,7 +150,7 @@ def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
 
 def impacts(*speeds: float) -> list[EpisodeLog]:
     episode = EpisodeSpec(CROSSING, Mode.REPLAY, 0, 0, safe_trajectory=straight())
-    return [EpisodeLog(episode, Outcome.COLLISION, np.zeros((2, 2)), np.zeros((2, 3)), 0.2, speed) for speed in speeds]
+    return [EpisodeLog(episode, Outcome.COLLISION, np.zeros((2, 2)), np.zeros((2, 4)), 0.2, speed) for speed in speeds]
 
 
 def test_who_walks_into_a_standing_car_is_counted_apart() -> None:

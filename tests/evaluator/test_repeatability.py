@@ -141,13 +141,13 @@ def test_the_sample_is_spread_over_what_can_be_repeated() -> None:
     [
         {"outcome": Outcome.TIMEOUT},
         {"impact_speed": 2.0},
-        {"car": np.full((3, 3), 1e-5)},
-        {"adversary": np.zeros((2, 2)), "car": np.zeros((2, 3))},
+        {"car": np.full((3, 4), 1e-5)},
+        {"adversary": np.zeros((2, 2)), "car": np.zeros((2, 4))},
     ],
 )
 def test_logs_that_differ(other: dict[str, object]) -> None:
-    log = EpisodeLog(EPISODES[4], Outcome.MISSED, np.zeros((3, 2)), np.zeros((3, 3)))
-    assert is_same(log, replace(log, car=np.full((3, 3), 1e-7)))
+    log = EpisodeLog(EPISODES[4], Outcome.MISSED, np.zeros((3, 2)), np.zeros((3, 4)))
+    assert is_same(log, replace(log, car=np.full((3, 4), 1e-7)))
     assert not is_same(log, replace(log, **other))
 
 
@@ -178,7 +178,7 @@ class Driven:
             assert episode.safe_trajectory is not None
             way = episode.safe_trajectory.positions
             speeds = np.linspace(STARTS, last, len(way))
-            car = np.column_stack([np.zeros(len(way)), np.cumsum(speeds), speeds])
+            car = np.column_stack([np.zeros(len(way)), np.cumsum(speeds), np.zeros(len(way)), speeds])
             outcome = Outcome.ABORTED if math.isnan(last) else Outcome.TIMEOUT
             yield EpisodeLog(episode, outcome, way, car, reason="controller ended")
 
@@ -228,7 +228,9 @@ def test_cars_that_avoid_people_drive_undisturbed_in_every_scenario(name: str) -
 
 def run(speeds: list[float], away: float, scenario: Scenario = CROSSING, outcome: Outcome = Outcome.MISSED):
     """A run in which the front of the car is so far from the adversary, aside and ahead, all the time."""
-    car = np.column_stack([np.full(len(speeds), 1.5), np.linspace(-40.0, -30.0, len(speeds)), speeds])
+    car = np.column_stack(
+        [np.full(len(speeds), 1.5), np.linspace(-40.0, -30.0, len(speeds)), np.full(len(speeds), np.pi / 2), speeds]
+    )
     adversary = car[:, :2] + (away + scenario.car.front + scenario.adversary.reach) * np.array([0.6, 0.8])
     episode = EpisodeSpec(scenario, Mode.REPLAY, 1, 1, safe_trajectory=Trajectory(adversary, scenario.time_step))
     return EpisodeLog(episode, outcome, adversary, car, 1.0, 4.0, reason="failed: x")

@@ -118,7 +118,7 @@ def test_the_car_is_found_where_it_was_at_the_contact(case):
         body = log.trajectory.positions[-1]
         whole = car_until_contact(log.episode.scenario, log.car, len(log.car) - 2 + share, log.impact_speed, body)
         assert np.array_equal(whole[:-1], log.car[:-1])
-        assert whole[-1, 2] == pytest.approx(log.impact_speed, abs=1e-9)
+        assert whole[-1, 3] == pytest.approx(log.impact_speed, abs=1e-9)
         assert math.dist(whole[-1, :2], seen.car[:2]) < (most if seen.who < 0 else 0.05)
         if seen.touch == Touch.FRONT:
             apart = distances(np.array([[*whole[-1, :2], heading]]), body[None], scenario)
@@ -160,4 +160,4 @@ def ended(car: list[list[float]], share: float, impact: float, **changes: object
     phi = Trajectory(walk, scenario.time_step)
     episode = EpisodeSpec(scenario, Mode.REPLAY, 1, 1, safe_trajectory=phi)
     time = (len(car) - 2 + share) * scenario.time_step
-    return EpisodeLog(episode, Outcome.COLLISION, walk, np.array(car), time, impact)
+    return EpisodeLog(episode, Outcome.COLLISION, walk, np.insert(np.array(car), 2, math.pi / 2, axis=1), time, impact)

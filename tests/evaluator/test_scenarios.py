@@ -130,7 +130,7 @@ def test_a_probe_and_a_fit_see_the_curve_as_a_straight_road() -> None:
     log = replays(RIGHT_TURN, 1, C=1.15)[0]
     seen = recording_of(log)
     np.testing.assert_allclose(seen.car[:, 0], 0.0, atol=1e-9)
-    np.testing.assert_allclose(np.diff(seen.car[:, 1]), 0.15 * (seen.car[1:, 2] + seen.car[:-1, 2]), atol=1e-9)
+    np.testing.assert_allclose(np.diff(seen.car[:, 1]), 0.15 * (seen.car[1:, 3] + seen.car[:-1, 3]), atol=1e-9)
 
 
 @pytest.mark.parametrize("scenario", [RIGHT_TURN, WITH_BOX, TURN_WITH_BOX], ids=["turn", "box", "turn with a box"])

@@ -99,7 +99,7 @@ def test_unbraked_a_car_that_turns_left_drives_into_the_side_of_who_comes(name: 
         x, y = one.log.trajectory.positions[-1]
         half = 0.5 * (one.log.episode.scenario.adversary.length or 0.0)
         assert y == pytest.approx(-12.0 + 3.5)
-        car_x, car_y, _ = one.log.car[-1]
+        car_x, car_y, *_ = one.log.car[-1]
         assert math.hypot(car_x - (x - half), car_y - y) < 2.25 + 1.5
 
 

@@ -43,9 +43,9 @@ class Played:
             there = np.array([(0.0, 0.0), (far, 0.0)])
             if far > 0.0:
                 step = CROSSING.time_step
-                yield EpisodeLog(one, Outcome.COLLISION, there, np.zeros((2, 3)), step, 3.0)
+                yield EpisodeLog(one, Outcome.COLLISION, there, np.zeros((2, 4)), step, 3.0)
             else:
-                yield EpisodeLog(one, Outcome.ABORTED if math.isnan(far) else Outcome.MISSED, there, np.zeros((2, 3)))
+                yield EpisodeLog(one, Outcome.ABORTED if math.isnan(far) else Outcome.MISSED, there, np.zeros((2, 4)))
 
 
 def chosen(strayed: Mapping[float, Sequence[float]], car: FittedCar = FOREST) -> tuple[float | None, Played]:

@@ -32,7 +32,7 @@ def assessed(decide, plan: Plan = PLAN) -> Assessment:
                 walked = np.array(episode.start) + np.array([[0.0, 0.0], [0.5, 0.0], [1.0, -1.0]])
                 hit = (0.5, 4.0) if outcome == Outcome.COLLISION else ()
                 reason = REASON if outcome == Outcome.ABORTED else ""
-                yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit, reason=reason, clipped=clipped)
+                yield EpisodeLog(episode, outcome, walked, np.zeros((3, 4)), *hit, reason=reason, clipped=clipped)
 
     safe = [straight(name="one"), straight(1.0, "two")]
     return rate(plan, [plan.objective], safe, Runner())

@@ -81,7 +81,7 @@ def test_in_an_episode_it_stops_before_who_stands_on_the_lane():
     standing = Trajectory(np.tile([-1.0, 4.0], (21, 1)), scenario.time_step, "standing")
     log = run_episode(EpisodeSpec(scenario, Mode.REPLAY, 0, 0, safe_trajectory=standing), HighwayIdm())
     assert log.outcome != Outcome.COLLISION
-    assert log.car[-1, 2] < 0.5
+    assert log.car[-1, 3] < 0.5
     assert log.car[-1, 1] < 4.0 - scenario.car.front
 
 

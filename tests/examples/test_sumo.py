@@ -114,7 +114,7 @@ def test_in_an_episode_it_stops_at_sumos_least_gap_before_who_stands_on_the_lane
     log = run_episode(EpisodeSpec(scenario, Mode.REPLAY, 0, 0, safe_trajectory=standing), kind())
     assert log.outcome != Outcome.COLLISION
     gap = 6.0 - RADIUS - (log.car[-1, 1] + scenario.car.front)
-    assert log.car[-1, 2] < 0.1
+    assert log.car[-1, 3] < 0.1
     assert gap == pytest.approx(MINIMUM_GAP, abs=0.15)
 
 

@@ -36,7 +36,7 @@ def rated(outcome: Outcome) -> Assessment:
                 walked = np.array(episode.start) + np.array([[0.0, 0.0], [0.5, 0.0], [1.0, aside]])
                 still = episode.mode == Mode.REPLAY and episode.episode_id % 2 == 1
                 hit = (0.5, 0.0 if still else 4.0) if outcome == Outcome.COLLISION else ()
-                yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit)
+                yield EpisodeLog(episode, outcome, walked, np.zeros((3, 4)), *hit)
 
     x = np.arange(-3.5, 3.0, 0.75)
     safe = [Trajectory(np.column_stack([x, np.full_like(x, y)]), 0.3, f"{y}") for y in (0.0, 1.0)]

@@ -49,7 +49,7 @@ def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None
     (found,) = read_episodes([tmp_path / "out"])
     assert found.log.episode.scenario.control_periods == 3
     plain = run_episode(dataclasses.replace(found.log.episode, controller="basic"), Vendor())
-    assert plain.car[:, 2].min() < 6.0  # it did brake
+    assert plain.car[:, 3].min() < 6.0  # it did brake
     assert_same_log(plain, found.log)
     with AnyReader([next((tmp_path / "out" / "bags").iterdir())]) as reader:
         (connection,) = [one for one in reader.connections if one.topic == "/control/command/control_cmd"]

@@ -31,7 +31,7 @@ def test_another_simulator_is_not_held_to_the_laws_of_this_world(replay: Episode
     """SKD has started either: what follows from the seed is what the simulator that was asked for gives."""
     log = run_episode(replay)
     car = log.car.copy()
-    car[2, 2] += 0.2
+    car[2, 3] += 0.2
     other = dataclasses.replace(log, car=car)
     said = refuted(other, own_world=True)
     assert said is not None

@@ -14,6 +14,7 @@ from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, st
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
+from skd_sim.world.state import CarState
 
 """The car's decisions in a tick: an episode of nine ticks has some 800 states."""
 
@@ -33,9 +34,9 @@ def test_what_is_lost_all_the_same_is_said_and_soon(
     with graph(context, domain, tmp_path) as node:
         keep, count = node._samples.add_car, iter(range(10_000))
 
-        def loses_the_third(stamp: int, *state: float) -> None:
+        def loses_the_third(stamp: int, state: CarState) -> None:
             if next(count) != 2:
-                keep(stamp, *state)
+                keep(stamp, state)
 
         monkeypatch.setattr(node._samples, "add_car", loses_the_third)
         begin = time.monotonic()

@@ -10,9 +10,10 @@ import pytest
 import shapely
 from skd_evaluator.assessment.run.assembly import Samples
 from skd_evaluator.ros.visualization import episode_markers
-from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
+from skd_sim.scenario.road import HEADING_NORTH, ONCOMING, Lane, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
+from skd_sim.world.state import CarState
 from visualization_msgs.msg import Marker
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
@@ -21,7 +22,7 @@ RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
 def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[float, float]) -> dict[int, Marker]:
     samples = Samples()
     if car is not None:
-        samples.car[0] = (*car, 5.0)
+        samples.car[0] = CarState(*car, HEADING_NORTH, 5.0)
     for stamp, place in enumerate(walked):
         samples.adversary[stamp] = place
     return {

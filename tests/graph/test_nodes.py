@@ -82,7 +82,7 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: EpisodeSpec
                 break
     for log in logs:
         assert log.outcome in (Outcome.COLLISION, Outcome.ARRIVED), log.reason
-        speed = log.car[:, 2]
+        speed = log.car[:, 3]
         assert speed[1] < speed[0] - 0.3 * 8.0 * 0.9 + 0.05 * speed[0]  # as hard as the simulator's bound allows
         assert np.all(np.abs(speed[3:] - target) <= 0.2 * target)  # the car's noise, and one tick of delay, remain
     assert kind == f"geometry_msgs/msg/{'TwistStamped' if stamped else 'Twist'}"

@@ -66,9 +66,9 @@ def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: EpisodeSpec) 
         cars = [Near(late, first) for late in (0, 1) for first in (None, last)]
         laws = [run_episode(dataclasses.replace(episode, controller="basic"), car) for car in cars]
         last = float(log.car[-1, 1])
-        assert min(law.car[:, 2].min() for law in laws) < 7.0  # it did brake
+        assert min(law.car[:, 3].min() for law in laws) < 7.0  # it did brake
         ticks = min(len(one.car) for one in (log, *laws))
-        speeds = [one.car[:ticks, 2] for one in (log, *laws)]
+        speeds = [one.car[:ticks, 3] for one in (log, *laws)]
         assert np.all(speeds[0] >= np.min(speeds[1:], axis=0) - 0.1)
         assert np.all(speeds[0] <= np.max(speeds[1:], axis=0) + 0.1)
         periods = 3 * (len(log.car) - 1)

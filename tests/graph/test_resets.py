@@ -47,7 +47,7 @@ def test_a_managed_node_forgets(tmp_path: Path, replay: EpisodeSpec) -> None:
         logs = [evaluator.run_episode(theirs) for _ in range(2)]
     assert logs[0].outcome != Outcome.ABORTED, logs[0].reason
     assert_same_log(*logs)
-    speeds = logs[0].car[:, 2]
+    speeds = logs[0].car[:, 3]
     assert speeds[1] > 0.94 * speeds[0]  # not braking yet: its noise is 5 %
     assert speeds[-1] < 0.5 * speeds[0]
     printed = (tmp_path / "car_controller.log").read_text().splitlines()

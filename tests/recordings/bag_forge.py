@@ -114,9 +114,9 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
     )
     sent = [Sent(EPISODE, episode, start)]
     stamp = start
-    for tick, ((x, y), (car_x, car_y, speed)) in enumerate(zip(log.adversary, log.car, strict=True)):
+    for tick, ((x, y), (car_x, car_y, heading, speed)) in enumerate(zip(log.adversary, log.car, strict=True)):
         stamp = tick_stamp(start, tick, step)
-        sent.append(Sent(CAR, _odometry(stamp, "ego/base_link", car_x, car_y, np.pi / 2, (speed, 0.0)), stamp))
+        sent.append(Sent(CAR, _odometry(stamp, "ego/base_link", car_x, car_y, heading, (speed, 0.0)), stamp))
         sent.append(Sent(ADVERSARY, _odometry(stamp, "adversary", x, y, 0.0, (0.0, 0.0)), stamp))
     result = _new(
         TYPES[RESULT],

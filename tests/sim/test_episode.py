@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from skd_sim.scenario.scenario import Scenario, load_scenario
@@ -75,7 +77,7 @@ def test_outcomes(mode: Mode, tick: int, x: float, collided: bool, expected: Out
 
 def test_the_adversary_is_at_the_end_where_the_two_touch() -> None:
     """Contact after half of the second tick: half way between its ends."""
-    car = np.array([[0.0, -16.0, 8.0], [0.0, -14.0, 8.0], [0.0, -11.0, 8.0]])
+    car = np.array([[0.0, y, math.pi / 2, 8.0] for y in (-16.0, -14.0, -11.0)])
     walk = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
     log = EpisodeLog(_episode(Mode.SAFE), Outcome.COLLISION, walk, car, 1.5 * CROSSING.time_step, 8.0)
     np.testing.assert_allclose(log.trajectory.positions[-1], [-0.5, -0.5])

@@ -73,10 +73,10 @@ def test_stops_are_as_long_as_the_closed_form_says(deceleration: float, mass: fl
     """From 30 km/h, and then it stands: it does not tremble, and its springs swing it by less than a decimetre."""
     scenario = replace(CROSSING, car=replace(CROSSING.car, mass=mass))
     log = run(still(-80.0), scenario=scenario, controller=Brakes(deceleration))
-    stopped = int(np.argmax(log.car[:, 2] < 0.02))
+    stopped = int(np.argmax(log.car[:, 3] < 0.02))
     way = log.car[stopped, 1] - log.car[0, 1]
     assert way == pytest.approx(CROSSING.car.start_speed**2 / (2.0 * deceleration), rel=0.05)
-    assert log.car[stopped:, 2].max() < 0.02
+    assert log.car[stopped:, 3].max() < 0.02
     assert abs(log.car[-1, 1] - log.car[stopped, 1]) < 0.1
 
 
@@ -96,7 +96,7 @@ def test_both_find_the_contact_and_it_moves_nobody() -> None:
     assert log.impact_time == pytest.approx(gap / CROSSING.car.start_speed, abs=0.01)
     assert log.impact_speed == pytest.approx(CROSSING.car.start_speed, abs=1e-3)
     assert log.own_contact == pytest.approx(log.impact_time, abs=0.03)
-    assert log.car[-1, 2] == pytest.approx(CROSSING.car.start_speed, abs=1e-3)
+    assert log.car[-1, 3] == pytest.approx(CROSSING.car.start_speed, abs=1e-3)
     assert np.isnan(run(still(-80.0, ticks=3)).own_contact)
 
 

@@ -17,7 +17,7 @@ class RecordedEpisode:
 
     Attributes:
         adversary: n × 2 positions at ticks 0 … n − 1, world frame, m.
-        car: n × 3: reference point (x, y), m, and speed, m/s; the car drives North.
+        car: n × 4: reference point (x, y), m, heading, rad, and speed, m/s; the lane leads North.
         time_step: duration of a tick, s.
         front: front bumper ahead of the reference point, m.
         rear: rear bumper behind it, m.
@@ -101,7 +101,7 @@ def observe(recordings: Sequence[RecordedEpisode]) -> Observations:
             if one != other:
                 raise UsageError(f"the logs differ in {name}: {one:g} {unit} and {other:g} {unit}; fit them apart")
         adversary, car = recording.adversary, recording.car
-        if adversary.shape != (len(car), 2) or car.shape[1] != 3:
+        if adversary.shape != (len(car), 2) or car.shape[1] != 4:
             raise UsageError(f"log {index}: {len(car)} states of the car and {len(adversary)} of the adversary")
         if not (np.isfinite(adversary).all() and np.isfinite(car).all()):
             raise UsageError(f"log {index}: a state is not finite")
@@ -122,8 +122,8 @@ def _columns(episode: int, recording: RecordedEpisode) -> dict[str, FloatArray |
         "lateral": adversary[:-1, 0] - car[:-1, 0],
         "receding": before[:, 1],
         "sideways": before[:, 0],
-        "speed": car[:-1, 2],
-        "speed_after": car[1:, 2],
+        "speed": car[:-1, 3],
+        "speed_after": car[1:, 3],
         "walking_away": walking[:, 1],
         "walking_sideways": walking[:, 0],
         "travelled": np.diff(car[:, 1]),

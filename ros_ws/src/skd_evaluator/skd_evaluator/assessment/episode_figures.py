@@ -237,7 +237,7 @@ def _far(scenario: Scenario) -> float:
 def _stands_far_off(log: EpisodeLog) -> bool:
     """Tell whether a car was slower than a hit begins from some tick to the end, and everybody was far away then."""
     scenario = log.episode.scenario
-    drives = np.flatnonzero(log.car[:, 2] >= scenario.collision.hit_speed)
+    drives = np.flatnonzero(log.car[:, 3] >= scenario.collision.hit_speed)
     tick = int(drives[-1]) + 1 if drives.size else 0
     if log.hit or tick == len(log.car):
         return False

@@ -25,6 +25,7 @@ from skd_sim.scenario.road import (
     beside_road,
     is_straight_north,
     right_and_along,
+    road_pose,
     road_position,
 )
 from skd_sim.scenario.road_user import Body
@@ -102,13 +103,13 @@ def _touches(
 
 @kernel
 def driven(line: FloatArray, straight: bool, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the car's way between two recorded states (x, y in m, speed in m/s), as `CarDynamics.advance` gives it."""
+    """Return the car's way between two recorded states (as in `EpisodeLog`), as `CarDynamics.advance` gives it."""
     if not straight:
         here, there = road_position(line, before[0], before[1])[0], road_position(line, after[0], after[1])[0]
-        return along_road(line, here, max(0.0, there - here), before[2], after[2])
+        return along_road(line, here, max(0.0, there - here), before[3], after[3])
     path = np.empty((2, 4))
-    path[0, 0], path[0, 1], path[0, 2], path[0, 3] = before[0], before[1], HEADING_NORTH, before[2]
-    path[1, 0], path[1, 1], path[1, 2], path[1, 3] = after[0], after[1], HEADING_NORTH, after[2]
+    path[0, 0], path[0, 1], path[0, 2], path[0, 3] = before[0], before[1], HEADING_NORTH, before[3]
+    path[1, 0], path[1, 1], path[1, 2], path[1, 3] = after[0], after[1], HEADING_NORTH, after[3]
     return path
 
 
@@ -161,7 +162,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
     found = Recomputed()
     world = make_world(log.episode)
     found.note(log.adversary[0] - np.array(world.adversary[:2]), "the adversary's start")
-    found.note(log.car[0] - np.array([world.car.x, world.car.y, world.car.speed]), "the car's start")
+    found.note(log.car[0] - np.array(world.car), "the car's start")
     if len(log.car) > 1:
         _adversary(log, found)
         if determined(log.episode.scenario):
@@ -208,16 +209,19 @@ def _car(log: EpisodeLog, found: Recomputed) -> None:
     scenario = episode.scenario
     car, step, line = scenario.car, scenario.time_step, scenario.road.line
     ticks = len(states) - 1
-    speed, after = states[:-1, 2], states[1:, 2]
+    speed, after = states[:-1, 3], states[1:, 3]
     distance = 0.5 * step * (speed + after)
     if scenario.road.straight:
         x, y = states[:-1, 0] + distance * _COS, states[:-1, 1] + distance * _SIN
+        heading = np.full(ticks, HEADING_NORTH)
     else:
         along = right_and_along(line, states[:-1, :2])[:, 1] + distance
         x, y = beside_road(line, np.column_stack([np.zeros(ticks), along])).T
+        heading = np.array([road_pose(line, s)[2] for s in along.tolist()])
     found.note(x - states[1:, 0], "the car's x", 1)
     found.note(y - states[1:, 1], "the car's y", 1)
-    found.note(np.minimum(0.0, states[:, 2]), "the car's speed", 0)
+    found.note(np.angle(np.exp(1j * (heading - states[1:, 2]))), "the car's heading", 1)
+    found.note(np.minimum(0.0, states[:, 3]), "the car's speed", 0)
     if not episode.car.is_known or episode.mode == Mode.SAFE:  # φ is made before any car is looked at
         return
     draws = 2.0 * generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2)) - 1.0
@@ -337,7 +341,7 @@ def _specification(episode: EpisodeSpec) -> str:
 def _form(log: EpisodeLog) -> str:
     """Return what is wrong with a log before its numbers are looked at."""
     scenario, count = log.episode.scenario, len(log.adversary)
-    if log.adversary.shape != (count, 2) or log.car.shape != (count, 3) or count == 0:
+    if log.adversary.shape != (count, 2) or log.car.shape != (count, 4) or count == 0:
         return f"has {len(log.car)} states of the car and {count} of the adversary"
     if count - 1 > scenario.ticks:
         return f"has {count - 1} ticks, its scenario at most {scenario.ticks}"
@@ -432,7 +436,7 @@ def _walked(log: EpisodeLog) -> str:
 
 def _driven(log: EpisodeLog) -> str:
     step, driven = log.episode.scenario.time_step, log.car
-    speed = driven[:, 2]
+    speed = driven[:, 3]
     if speed.min() < -1.0 or speed.max() > LARGEST_SPEED:
         worst = speed.min() if speed.min() < -1.0 else speed.max()
         return f"the car drives {worst:.3g} m/s"
@@ -473,7 +477,7 @@ def _touched(log: EpisodeLog) -> str:
     fraction = log.impact_time / step - (ticks - 1)
     if not -1e-9 <= fraction <= 1.0 + 1e-9:
         return f"the impact is at {log.impact_time:.6g} s, which is not in the last of {ticks} ticks"
-    before, after = log.car[-2, 2], log.car[-1, 2]
+    before, after = log.car[-2, 3], log.car[-1, 3]
     play = 0.5 * LARGEST_ACCELERATION * step
     if not max(0.0, min(before, after) - play) <= log.impact_speed <= max(before, after) + play:
         return f"the impact is at {log.impact_speed:.6g} m/s, the car drives {before:.3g} to {after:.3g} m/s"

@@ -12,7 +12,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.road import HEADING_NORTH, right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
@@ -30,8 +30,11 @@ def recording_of(log: EpisodeLog) -> RecordedEpisode:
     """Return what an episode's log says about the car."""
     scenario = log.episode.scenario
     # The fit sees every road as a straight one: offsets across it, distances along it.
-    walked, driven = (right_and_along(scenario.road.line, places[:, :2]) for places in (log.adversary, log.car))
-    car = np.column_stack([driven, log.car[:, 2]])
+    line = scenario.road.line
+    walked, driven = (right_and_along(line, places[:, :2]) for places in (log.adversary, log.car))
+    turned = [heading - road_pose(line, s)[2] for heading, s in zip(log.car[:, 2], driven[:, 1], strict=True)]
+    heading = log.car[:, 2] if scenario.road.straight else HEADING_NORTH + np.angle(np.exp(1j * np.array(turned)))
+    car = np.column_stack([driven, heading, log.car[:, 3]])
     return RecordedEpisode(walked, car, scenario.time_step, scenario.car.front, scenario.car.rear)
 
 

@@ -125,7 +125,7 @@ class GraphRecording:
         try:
             if role == CAR:
                 car = odometry_to_car(message)
-                self.samples.add_car(stamp, car.x, car.y, car.speed)
+                self.samples.add_car(stamp, car)
             else:
                 adversary = odometry_to_adversary(message)
                 self.samples.add_adversary(stamp, adversary.x, adversary.y)

@@ -72,7 +72,7 @@ def car_until_contact(
 
     Args:
         scenario: fixed description of the test.
-        car: n × 3 with n ≥ 2: reference point (x, y), m, and speed, m/s, at ticks.
+        car: n × 4 with n ≥ 2: reference point (x, y), m, heading, rad, and speed, m/s, at ticks.
         ticks: when the contact was, in ticks.
         impact: speed of the car then, m/s.
         adversary: where the adversary was then, (x, y), m.
@@ -82,9 +82,10 @@ def car_until_contact(
         return moved
     pose = pose_at_contact(scenario, car[-2:], ticks - (len(car) - 2), impact)
     off = _off_the_front(scenario, pose, adversary)
+    moved[-1, 2] = math.remainder(pose[2], math.tau)
     moved[-1, :2] = pose[0] + off * math.cos(pose[2]), pose[1] + off * math.sin(pose[2])
     if not moves_uniformly(scenario, car[-2:]):
-        moved[-1, 2] = impact
+        moved[-1, 3] = impact
     return moved
 
 
@@ -110,7 +111,7 @@ def moves_uniformly(scenario: Scenario, ends: FloatArray) -> bool:
     """
     if scenario.control_periods > 1 or not DYNAMICS[scenario.car.dynamics].known:
         return False
-    return abs(_way(scenario, ends) - travelled(float(ends[0, 2]), float(ends[1, 2]), scenario.time_step)) < _SAME
+    return abs(_way(scenario, ends) - travelled(float(ends[0, 3]), float(ends[1, 3]), scenario.time_step)) < _SAME
 
 
 def pose_at_contact(scenario: Scenario, ends: FloatArray, share: float, impact: float) -> Pose:
@@ -118,7 +119,7 @@ def pose_at_contact(scenario: Scenario, ends: FloatArray, share: float, impact: 
 
     Args:
         scenario: fixed description of the test.
-        ends: the car's reference point (m) and speed (m/s) at both ends of the tick, 2 × 3.
+        ends: the car at both ends of the tick, as `car_until_contact` has it, 2 × 4.
         share: of the tick that has passed at the contact.
         impact: speed of the car then, m/s.
     """
@@ -143,7 +144,7 @@ def _share_driven(scenario: Scenario, ends: FloatArray, share: float, impact: fl
     """Return the share of a tick's way that the car has driven at a contact; see `pose_at_contact`."""
     if moves_uniformly(scenario, ends):
         return share
-    way, first, last = _way(scenario, ends), float(ends[0, 2]), float(ends[1, 2])
+    way, first, last = _way(scenario, ends), float(ends[0, 3]), float(ends[1, 3])
     if not (way > 0.0 and 0.0 < share < 1.0):
         return min(1.0, max(0.0, share))
     passed, left = share * scenario.time_step, (1.0 - share) * scenario.time_step
@@ -195,7 +196,7 @@ def deceleration_at_entry(log: EpisodeLog) -> float:
     if gap <= 0.0:
         return float("nan")
     last = max(tick, 1)
-    closing = float(log.car[tick, 2] - (along[last] - along[last - 1]) / step)
+    closing = float(log.car[tick, 3] - (along[last] - along[last - 1]) / step)
     return max(0.0, closing) ** 2 / (2.0 * gap)
 
 

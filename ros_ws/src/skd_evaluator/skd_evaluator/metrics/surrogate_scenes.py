@@ -94,7 +94,7 @@ class EpisodeMotion(NamedTuple):
     Attributes:
         times: n ticks, and at the end the contact, if there is one, s.
         adversary: n × 2 positions then, m.
-        car: n × 3: reference point (x, y), m, and speed, m/s.
+        car: n × 4: reference point (x, y), m, heading, rad, and speed, m/s.
     """
 
     times: FloatArray
@@ -110,7 +110,7 @@ def course_of(
     Args:
         scenario: road, time step, and how the car moves within a tick.
         adversary: n × 2 positions at ticks, m.
-        car: n × 3: reference point (x, y), m, and speed, m/s.
+        car: n × 4: reference point (x, y), m, heading, rad, and speed, m/s.
         contact: time of the contact, which is in the last tick, s, and the car's speed then, m/s; None without one.
     """
     time_step = scenario.time_step
@@ -194,7 +194,7 @@ def scene_of(scenario: Scenario, times: FloatArray, adversary: FloatArray, car: 
         scenario: road and shapes.
         times: n ticks, and at the end the contact, if there is one, s.
         adversary: n × 2 positions then, m.
-        car: n × 3: reference point (x, y), m, and speed, m/s.
+        car: n × 4: reference point (x, y), m, heading, rad, and speed, m/s.
     """
     return scenes_of(scenario, [EpisodeMotion(times, adversary, car)]).whole
 
@@ -213,7 +213,7 @@ def scenes_of(scenario: Scenario, courses: Sequence[EpisodeMotion]) -> Interacti
             for tick, (vx, vy) in enumerate(velocity[start:end].tolist(), start):
                 heading = turned[tick] = body.heading(heading, vx, vy)
     footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
-    states = np.column_stack([car[:, :2], _headings(line, along), car[:, 2]])
+    states = np.column_stack([car[:, :2], _headings(line, along), car[:, 3]])
     return Interactions(Interaction(times, states, places, velocity, turned, footprint, body.shape), starts)
 
 

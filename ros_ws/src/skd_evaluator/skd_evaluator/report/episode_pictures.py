@@ -164,7 +164,7 @@ class ShownEpisode:
         scenario: scenario of the test.
         phi: positions of φ at ticks, m.
         adversary: positions of the adversary at `times`, n × 2, m.
-        car: the car's reference point (x, y), m, and its speed, m/s, at `times`, n × 3.
+        car: the car at `times`, n × 4: reference point (x, y), m, heading, rad, speed, m/s.
         times: times since the start, s: those of the ticks and, if there is a contact, at the end its own.
         collided: whether the episode ended in a collision.
         belief: what was believed of the car at `times`, as `believed_car` has it; None where nothing is known.
@@ -239,7 +239,7 @@ class EpisodePicture:
         there = shown.phi_at(np.array([time]))
         self._there.set_data(there[:, 0], there[:, 1])
         self._cursor.set_xdata([time, time])
-        speed = float(np.interp(time, shown.times, shown.car[:, 2]))
+        speed = float(np.interp(time, shown.times, shown.car[:, 3]))
         self._clock.set_text(f"{time:.2f} s, car {speed:.1f} m/s")
 
     def _draw_above(self, axes: Axes, box: tuple[float, float, float, float]) -> None:

@@ -158,7 +158,7 @@ def ended(
 
     Args:
         users: places of somebody at ticks, n × 2, m.
-        cars: places (m) and speeds (m/s) of the car at ticks, n × 3.
+        cars: the car at ticks, as in `EpisodeLog`, n × 4.
         headings: of the car in each tick, n − 1, rad.
         touched: whether the car touched somebody in the last tick, and not one of the others.
         passed: share of the last tick that counts: up to the contact, with whomever, or all of it.
@@ -175,7 +175,7 @@ def ended(
     for tick in range(last + 1):
         for end in range(2):
             path[end, 0], path[end, 1] = cars[tick + end, 0], cars[tick + end, 1]
-            path[end, 2], path[end, 3] = headings[tick], cars[tick + end, 2]
+            path[end, 2], path[end, 3] = headings[tick], cars[tick + end, 3]
         here, there = (users[tick, 0], users[tick, 1]), (users[tick + 1, 0], users[tick + 1, 1])
         until = passed if tick == last else 1.0
         if carried and tick == last:  # the tick ends at the contact

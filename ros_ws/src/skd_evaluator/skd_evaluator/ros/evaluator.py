@@ -338,7 +338,7 @@ class Evaluator(GraphNode):
     def _add_car(self, stamp: int, car: CarState) -> None:
         if stamp >= self._key.start:
             try:
-                self._samples.add_car(stamp, car.x, car.y, car.speed)
+                self._samples.add_car(stamp, car)
             except UsageError as error:
                 raise self._contradiction("car", EGO_ODOMETRY, stamp) from error
             self._figures.take_car(stamp, car)

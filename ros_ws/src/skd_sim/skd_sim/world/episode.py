@@ -160,7 +160,7 @@ class EpisodeLog:
         episode: specification of the episode.
         outcome: how it ended.
         adversary: n × 2 positions at ticks 0 … n − 1, m.
-        car: n × 3: reference point (x, y), m, and speed, m/s.
+        car: n × 4: `CarState` at the same ticks: reference point (x, y), m, heading, rad, and speed, m/s.
         impact_time: s since the start, at the first contact; nan without a collision.
         impact_speed: speed of the car at the first contact, m/s; nan without a collision.
         depletions: how often the adversary's belief had to be redrawn.

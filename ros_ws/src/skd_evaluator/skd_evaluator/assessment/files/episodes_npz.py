@@ -114,7 +114,7 @@ def write_episodes(path: Path | IO[bytes], assessment: Assessment) -> None:
     """
     rows: list[tuple[EpisodeLog, int, str]] = []  # with the number of φ and the objective
     for index, phi in enumerate(assessment.safe):
-        nowhere = np.full((len(phi), 3), np.nan)  # Φ was recorded, or made against another car
+        nowhere = np.full((len(phi), 4), np.nan)  # Φ was recorded, or made against another car
         episode = EpisodeSpec(assessment.plan.scenario, Mode.SAFE, assessment.plan.seed, 0)
         rows.append((EpisodeLog(episode, Outcome.ARRIVED, phi.positions, nowhere, math.nan, math.nan), index, ""))
     for result in assessment.results:
@@ -162,7 +162,7 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     """Return the arrays of episodes.npz that follow from logs alone, in their order."""
     return {
         "positions": np.concatenate([np.empty((0, 2)), *(log.adversary for log in logs)]),
-        "car": np.concatenate([np.empty((0, 3)), *(log.car for log in logs)]),
+        **_car_columns("", logs),
         "offsets": np.cumsum([0, *(len(log.adversary) for log in logs)], dtype=np.int64),
         "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
         "outcome": np.array([int(log.outcome) for log in logs], np.int8),
@@ -173,6 +173,18 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
         "clipped": np.array([log.clipped for log in logs], np.int64),
         "reason": _texts([log.reason for log in logs]),
     }
+
+
+def _car_columns(prefix: str, logs: Sequence[EpisodeLog]) -> Columns:
+    """Return the car's states: reference point and speed in one array, heading in another."""
+    states = np.concatenate([np.empty((0, 4)), *(log.car for log in logs)])
+    return {f"{prefix}car": states[:, [0, 1, 3]], f"{prefix}heading": states[:, 2]}
+
+
+def _car_states(prefix: str, arrays: Mapping[str, Array]) -> FloatArray:
+    """Return the car's states as `EpisodeLog` has them."""
+    places, speeds = arrays[f"{prefix}car"][:, :2], arrays[f"{prefix}car"][:, 2]
+    return np.column_stack([places, arrays[f"{prefix}heading"], speeds])
 
 
 def _index_of(assessment: Assessment, log: EpisodeLog) -> int:
@@ -277,6 +289,7 @@ EPISODES = "episodes.npz"
 _COLUMNS = {
     "positions": Column(np.float64, (-1, 2)),
     "car": Column(np.float64, (-1, 3)),
+    "heading": Column(np.float64, (-1,)),
     "offsets": Column(np.int64, (-1,)),
     "mode": Column(np.int8, (-1,)),
     "safe_index": Column(np.int32, (-1,)),
@@ -323,6 +336,7 @@ _OPTIONAL = {
     "risk_failure": Column(np.int64, (-1,)),
     "risk_failure_positions": Column(np.float64, (-1, 2)),
     "risk_failure_car": Column(np.float64, (-1, 3)),
+    "risk_failure_heading": Column(np.float64, (-1,)),
     "risk_failure_offsets": Column(np.int64, (-1,)),
     "risk_failure_impact_time": Column(np.float64, (-1,)),
     "risk_failure_impact_speed": Column(np.float64, (-1,)),
@@ -341,7 +355,7 @@ class StoredEpisodes:
         safe: positions of each φ at ticks, m.
         time_step: time step of the scenario, s.
         adversary: for each episode the adversary's positions at ticks, n × 2, m.
-        car: for each episode the car's reference point (x, y), m, and speed, m/s, at ticks, n × 3.
+        car: for each episode the car at ticks as in `EpisodeLog`, n × 4.
         mode: mode of each episode, kamikaze or replay (`skd_sim.world.episode.Mode`).
         objective: objective of each kamikaze; empty for a run along φ.
         safe_index: number of the φ of each episode, counted from 0.
@@ -412,7 +426,7 @@ class StoredEpisodes:
         return until_contact(self.adversary[number], float(self.impact_time[number]) / self.time_step)
 
     def car_until_contact(self, number: int, scenario: Scenario) -> FloatArray:
-        """Return the car's states in an episode of a scenario, n × 3, the last moved back to the contact, if any."""
+        """Return the car's states in an episode of a scenario, n × 4, the last moved back to the contact, if any."""
         if not self.collided[number]:
             return self.car[number]
         ticks = float(self.impact_time[number]) / self.time_step
@@ -486,7 +500,8 @@ def read_episodes(folder: Path, name: str = EPISODES) -> StoredEpisodes:
     spans = list(itertools.pairwise(arrays["offsets"].tolist()))
     safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
     rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
-    ways = {name: tuple(arrays[name][slice(*spans[row])] for row in rest) for name in ("positions", "car")}
+    states = {"positions": arrays["positions"], "car": _car_states("", arrays)}
+    ways = {name: tuple(one[slice(*spans[row])] for row in rest) for name, one in states.items()}
     if "belief" in arrays:
         with np.errstate(invalid="ignore"):  # nan of a kind that signals is nan
             ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
@@ -577,7 +592,7 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (offsets[1:] <= offsets[:-1]).any():
         return "its offsets do not cut its positions into trajectories"
     count = len(offsets) - 1
-    of_rows = [name for name in ("car", "belief") if name in arrays]
+    of_rows = [name for name in ("car", "heading", "belief") if name in arrays]
     of_episodes = [name for name in (*_PER_EPISODE, *_OF_EPISODES) if name in arrays]
     if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in of_episodes):
         return "its arrays do not go together"
@@ -594,7 +609,7 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     # Of an episode that was aborted before it began there is no state of the car.
     never_began = np.repeat((arrays["outcome"] == Outcome.ABORTED) & (np.diff(offsets) == 1), np.diff(offsets))
     known = of_episode & ~(never_began & np.isnan(arrays["car"]).all(axis=1))
-    if not within_reach(arrays["positions"], arrays["car"][known]):
+    if not within_reach(arrays["positions"], arrays["car"][known], arrays["heading"][known]):
         return f"a state is not finite, or beyond ±{FARTHEST:g}"
     hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
     if (np.diff(offsets)[hit] < 2).any() or not within_reach(arrays["impact_time"][hit]):
@@ -619,7 +634,7 @@ def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[
     return {
         "risk_failure": np.array(sorted(failing), np.int64),
         "risk_failure_positions": np.concatenate([np.empty((0, 2)), *(one.adversary for one in logs)]),
-        "risk_failure_car": np.concatenate([np.empty((0, 3)), *(one.car for one in logs)]),
+        **_car_columns("risk_failure_", logs),
         "risk_failure_offsets": np.cumsum([0, *(len(one.adversary) for one in logs)], dtype=np.int64),
         "risk_failure_impact_time": np.array([one.impact_time for one in logs], np.float64),
         "risk_failure_impact_speed": np.array([one.impact_speed for one in logs], np.float64),
@@ -638,10 +653,10 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
     """
     further, phis = stored.further, len(stored.safe)
     rows = further["risk_failure"].tolist() if "risk_failure" in further else []
-    spans, positions, car = [], np.empty((0, 2)), np.empty((0, 3))
+    spans, positions, car = [], np.empty((0, 2)), np.empty((0, 4))
     times = speeds = np.empty(0)
     if rows:
-        positions, car = further["risk_failure_positions"], further["risk_failure_car"]
+        positions, car = further["risk_failure_positions"], _car_states("risk_failure_", further)
         times, speeds = further["risk_failure_impact_time"], further["risk_failure_impact_speed"]
         ends = further["risk_failure_offsets"].tolist()
         spans = list(itertools.pairwise(ends))

@@ -129,7 +129,7 @@ class StoredResult:
         ticks = max(map(len, (*episodes.adversary, *episodes.safe)), default=0)
         arrays = {
             "adversary": (("episode", "time", "axis"), _padded(episodes.adversary, ticks, 2), {"units": "m"}),
-            "car": (("episode", "time", "state"), _padded(episodes.car, ticks, 3), {"units": "m, m, m/s"}),
+            "car": (("episode", "time", "state"), _padded(episodes.car, ticks, 4), {"units": "m, m, rad, m/s"}),
             "phi": (("safe", "time", "axis"), _padded(episodes.safe, ticks, 2), {"units": "m"}),
             "safe_index": (("episode",), episodes.safe_index),
         }

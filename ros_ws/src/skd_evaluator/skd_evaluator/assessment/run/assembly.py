@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
+from skd_sim.world.state import CarState
 from skd_sim.world.timing import UNTIMED, Timing, tick_stamp
 
 _State = TypeVar("_State", bound=tuple[float, ...])
@@ -49,16 +50,16 @@ class Samples:
 
     def __init__(self) -> None:
         """Start empty."""
-        self.car: dict[int, tuple[float, float, float]] = {}
+        self.car: dict[int, CarState] = {}
         self.adversary: dict[int, tuple[float, float]] = {}
 
-    def add_car(self, stamp: int, x: float, y: float, speed: float) -> None:
-        """Add a state of the car (m, m/s).
+    def add_car(self, stamp: int, car: CarState) -> None:
+        """Add a state of the car.
 
         Raises:
             UsageError: another state has the same stamp.
         """
-        _add(self.car, stamp, (x, y, speed), "car")
+        _add(self.car, stamp, car, "car")
 
     def add_adversary(self, stamp: int, x: float, y: float) -> None:
         """Add a position of the adversary (m).
@@ -115,8 +116,8 @@ def result_from_message(message: Any) -> EpisodeEnd:
 
 def aborted(episode: EpisodeSpec, reason: str) -> EpisodeLog:
     """Return the log of an episode that could not be finished."""
-    nothing = np.array([(*episode.start, math.nan)])
-    return EpisodeLog(episode, Outcome.ABORTED, nothing[:, :2], nothing * math.nan, reason=reason)
+    start, nowhere = np.array([episode.start]), np.full((1, 4), math.nan)
+    return EpisodeLog(episode, Outcome.ABORTED, start, nowhere, reason=reason)
 
 
 def stamps(episode: EpisodeSpec, start: int, result: EpisodeEnd) -> list[int]:

@@ -194,7 +194,7 @@ def _log(episode: EpisodeSpec, states: FloatArray) -> EpisodeLog:
     assert episode.safe_trajectory is not None
     arrived = len(states) >= len(episode.safe_trajectory)
     outcome = Outcome.COLLISION if collided else Outcome.ARRIVED if arrived else Outcome.TIMEOUT
-    return EpisodeLog(episode, outcome, states[:, 4:6], states[:, [0, 1, 3]], time, impact)
+    return EpisodeLog(episode, outcome, states[:, 4:6], states[:, CAR].copy(), time, impact)
 
 
 def answers_batches(car: CarUnderTest) -> bool:

@@ -99,7 +99,7 @@ def _run(
         episode,
         frame.outcome,
         np.array([one.adversary[:2] for one in frames]),
-        np.array([(one.car.x, one.car.y, one.car.speed) for one in frames]),
+        np.array([one.car for one in frames]),
         impact_time,
         impact_speed,
         adversary.depletions,

@@ -178,7 +178,7 @@ def undisturbed_drives(plan: Plan, runner: Runner) -> list[Drive]:
     for log in runner.run([_undisturbed(plan, number) for number in range(DRIVES)]):
         if log.outcome == Outcome.ABORTED:
             raise AssessmentError(log.reason)
-        found.append(Drive(*log.car[[0, -1], 2].tolist()))
+        found.append(Drive(*log.car[[0, -1], 3].tolist()))
     return sorted(found, key=lambda drive: drive.last)
 
 

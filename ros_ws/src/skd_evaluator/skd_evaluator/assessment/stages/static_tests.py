@@ -96,7 +96,7 @@ class StaticTest:
             target=touched and collision_partner(log) == ADVERSARY,
             impact_speed=impact,
             speed_ahead=speed_ahead(log) if touched else 0.0,
-            fastest=max(impact, float(log.car[:, 2].max())),
+            fastest=max(impact, float(log.car[:, 3].max())),
         )
 
     def as_dict(self) -> dict[str, Any]:

@@ -103,13 +103,13 @@ def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
     begin = 4 + int.from_bytes(data[:4], "little")
     outcome, depletions, reason, clipped, held, ages, states, believed, said = json.loads(data[4:begin])
     numbers = np.frombuffer(data, "<f8", offset=begin).astype(np.float64)
-    single, aged, adversary, car, belief = np.split(numbers, np.cumsum([5, ages, 2 * states, 3 * states]))
+    single, aged, adversary, car, belief = np.split(numbers, np.cumsum([5, ages, 2 * states, 4 * states]))
     time, speed, delay, own, strayed = single.tolist()
     return EpisodeLog(
         episode,
         Outcome(outcome),
         adversary.reshape(states, 2),
-        car.reshape(states, 3),
+        car.reshape(states, 4),
         time,
         speed,
         depletions,
@@ -123,7 +123,7 @@ def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
 
 
 FILE_NAME = "episodes.sqlite"
-_FORMAT = 1
+_FORMAT = 2
 _AT_ONCE = 500  # keys in one query
 _TABLE = """
 CREATE TABLE episodes (

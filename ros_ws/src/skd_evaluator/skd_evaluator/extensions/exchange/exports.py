@@ -240,7 +240,7 @@ def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, w
 def _phi(subject: Subject, index: int) -> Export:
     """Return a φ: the adversary and the others, and where the car begins."""
     phi, step = subject.episodes.safe[index], subject.episodes.time_step
-    course = EpisodeMotion(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 3), np.nan))
+    course = EpisodeMotion(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 4), np.nan))
     name = _name(subject, index)
     title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {subject.scenario.name}, {subject.label}")
     recorded = ExportedEpisode(

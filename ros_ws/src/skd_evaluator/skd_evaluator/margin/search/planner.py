@@ -91,7 +91,7 @@ class TrialPlanner:
         step, line = scenario.time_step, scenario.road.line
         ticks = len(log.adversary) - 1
         velocity = np.diff(log.adversary, axis=0) / step
-        speeds = log.car[:, 2]
+        speeds = log.car[:, 3]
         noise = self.noise[:ticks]
         seen = (speeds[1:] - speeds[:-1] * (1.0 + noise[:, 0])) / (step * (1.0 + noise[:, 1]))
         before = np.concatenate([[0.0], seen])

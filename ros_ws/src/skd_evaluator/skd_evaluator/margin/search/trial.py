@@ -264,11 +264,11 @@ def least_clearance(log: EpisodeLog) -> tuple[float, int]:
     if not scenario.road.straight:
         users = right_and_along(scenario.road.line, users)
         along = np.array([road_position(scenario.road.line, x, y)[0] for x, y in cars[:, :2].tolist()])
-        cars = np.column_stack([np.zeros(len(cars)), along, cars[:, 2]])
+        cars = np.column_stack([np.zeros(len(cars)), along, cars[:, 2:]])
     share = _SUB_STEPS[:, None]
     offsets = users - cars[:, :2]
     across, ahead = ((1.0 - share) * offsets[:-1, axis] + share * offsets[1:, axis] for axis in (0, 1))
-    speeds = (1.0 - share) * cars[:-1, 2] + share * cars[1:, 2]
+    speeds = (1.0 - share) * cars[:-1, 3] + share * cars[1:, 3]
     car = scenario.car
     beside = np.maximum(np.abs(across) - car.half_width, 0.0)
     beyond = np.maximum(np.maximum(ahead - car.front, -car.rear - ahead), 0.0)

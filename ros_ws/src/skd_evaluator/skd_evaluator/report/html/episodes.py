@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
-from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator.report.episode_pictures import believed_car
@@ -81,13 +80,6 @@ def margin_hits(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
         ]
         for ways in subject.episodes.margin_hits
     ]
-
-
-def headings(scenario: Scenario, car: FloatArray) -> FloatArray:
-    """Return where the car points (rad) at positions of it (n × 2 or more, m): as the lane does there."""
-    line = scenario.road.line
-    along = right_and_along(line, np.ascontiguousarray(car[:, :2]))[:, 1]
-    return np.array([road_pose(line, float(s))[2] for s in along])
 
 
 def _rounded(points: FloatArray) -> list[list[float]]:
@@ -206,8 +198,8 @@ def _way(subject: Subject, number: int) -> Array:
     """Return positions, speeds and headings of an episode as the page has them."""
     adversary = subject.episodes.until_contact(number)
     car = subject.episodes.car_until_contact(number, subject.scenario)
-    heading = 10.0 * headings(subject.scenario, car)
-    return _steps(np.column_stack([adversary, car, heading]))
+    heading = 10.0 * np.unwrap(car[:, 2])
+    return _steps(np.column_stack([adversary, car[:, :2], car[:, 3], heading]))
 
 
 def _belief(subject: Subject, number: int) -> Array | None:
