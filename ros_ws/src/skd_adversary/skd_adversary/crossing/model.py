@@ -43,6 +43,7 @@ from skd_adversary.crossing.parts import (
     start_road_user,
     template,
 )
+from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import PEDESTRIAN
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.pomdp.model import Pomdp
@@ -244,3 +245,64 @@ def compose(
         reinvigorate=_reinvigorate(car.kernels, sensor, road),
         **_kernels(objective, car.kernels, user, road),
     )
+
+
+class RoadUserMotion:
+    """How a kind of road user can move outside of a search, by the kernels that plan with it."""
+
+    def __init__(self, user: RoadUserModel, scenario: Scenario, path: FloatArray) -> None:
+        """Begin where φ (n × 2, m; may be one point) does."""
+        values = {
+            "time_step": scenario.time_step,
+            "adversary_speed": scenario.adversary.speed,
+            "crossing": scenario.end.crossing,
+            "path": np.array(path, dtype=np.float64, order="C"),
+            **user.parameters(scenario),
+        }
+        self._kernels, self._parameters = _motion_kernels(user.kernels), _parameters_class(*values)(**values)
+        self._state = np.zeros(user.kernels.own_dim)
+        self.begin()
+
+    def begin(self) -> None:
+        """Go back to the start."""
+        self._kernels["start_road_user"](self._parameters, self._state)
+
+    def velocity(self, action: int) -> Pair:
+        """Return the velocity of an action now, m/s."""
+        found: Pair = self._kernels["velocity"](self._parameters, self._state, action)
+        return found
+
+    def nearest(self, vx: float, vy: float) -> Pair:
+        """Return what comes nearest to a velocity (m/s) of all that it can have now."""
+        found: Pair = self._kernels["possible"](self._parameters, self._state, vx, vy)
+        return found
+
+    def move(self, vx: float, vy: float) -> None:
+        """Move for a tick at a velocity, m/s."""
+        self._kernels["settle"](self._parameters, self._state, vx, vy, self._state)
+
+
+@functools.cache
+def _motion_kernels(road_user: RoadUserKernels) -> dict[str, Any]:
+    return kernels_of(road_user, f"{road_user.name}_motion", {"USER_ROW": 0})
+
+
+def choices(user: RoadUserModel, scenario: Scenario, path: FloatArray, moved: FloatArray) -> FloatArray:
+    """Return the velocities that a road user can choose in each tick of a trajectory, having gone it so far.
+
+    Args:
+        user: its kind.
+        scenario: says how fast it is, and the time step.
+        path: φ, k × 2, m; may be one point.
+        moved: the trajectory, n × 2, m.
+
+    Returns:
+        (n − 1) × (action_count + 1) × 2, m/s; the last one is that which comes nearest to φ's own.
+    """
+    motion, actions = RoadUserMotion(user, scenario, path), range(user.kernels.action_count)
+    found = []
+    went = (np.diff(moved, axis=0) / scenario.time_step).tolist()
+    for phi, velocity in zip(path_velocities(path, len(went), scenario.time_step).tolist(), went, strict=True):
+        found.append([*map(motion.velocity, actions), motion.nearest(*phi)])
+        motion.move(*velocity)
+    return np.array(found).reshape(-1, len(actions) + 1, 2)

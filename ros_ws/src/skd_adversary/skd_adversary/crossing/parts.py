@@ -11,9 +11,9 @@ places in m; `parameters` are those of the composed model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Final, Generic, NamedTuple, ParamSpec, Protocol, TypeVar, cast, overload
+from typing import Any, Final, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
 import numpy as np
 from skd_sim.arrays import FloatArray
@@ -22,7 +22,6 @@ from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import runs_into
 
-from skd_adversary.crossing.path import path_velocities
 from skd_adversary.pomdp.planner import Backup, Cells, PlannerOptions
 
 # State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
@@ -348,22 +347,6 @@ class RoadUserKernels:
     touch: Any
 
 
-class Motion(NamedTuple):
-    """How a kind moves, outside kernels; it remembers two numbers of how it moved, which may mean nothing.
-
-    Attributes:
-        first: (scenario, φ) → what it remembers before its first step.
-        after: (remembered, vx, vy) → what it remembers after a step at a velocity, m/s.
-        velocity: (scenario, remembered, action) → the velocity of an action, m/s.
-        nearest: (scenario, remembered, vx, vy) → the velocity that it can have that comes nearest to a wanted one, m/s.
-    """
-
-    first: Callable[[Scenario, FloatArray], Pair]
-    after: Callable[[Pair, float, float], Pair]
-    velocity: Callable[[Scenario, Pair, int], tuple[float, float]]
-    nearest: Callable[[Scenario, Pair, float, float], tuple[float, float]]
-
-
 @dataclass(frozen=True)
 class RoadUserModel:
     """A kind of road user: how the adversary can move, and all else that is special to it.
@@ -372,7 +355,6 @@ class RoadUserModel:
         name: name of the kind, as in the section `adversary` of a scenario.
         kernels: kernels of how it moves; several kinds can share them.
         parameters: scenario → parameters of the model, by name.
-        motion: the same motion outside kernels.
         fastest: plausible speed, m/s; whatever moves faster in a recording is of another kind, or its unit is wrong.
         height: height of its body in pictures and messages, m.
         names: what another simulator, a format or a data set calls it, by their names: `{"carla":
@@ -382,44 +364,9 @@ class RoadUserModel:
     name: str
     kernels: RoadUserKernels
     parameters: Callable[[Scenario], Mapping[str, Any]]
-    motion: Motion
     fastest: float
     height: float
     names: Mapping[str, str] = field(default_factory=dict)
-
-    def choices(self, scenario: Scenario, path: FloatArray, moved: FloatArray) -> FloatArray:
-        """Return the velocities that it can choose in each tick of a trajectory, having gone it so far.
-
-        Args:
-            scenario: says how fast it is, and the time step.
-            path: φ, k × 2, m; may be one point.
-            moved: the trajectory, n × 2, m.
-
-        Returns:
-            (n − 1) × action_count × 2, m/s.
-        """
-        actions = range(self.kernels.action_count)
-        found = [
-            [self.motion.velocity(scenario, own, one) for one in actions] for own in self._so_far(scenario, path, moved)
-        ]
-        return np.array(found).reshape(-1, len(actions), 2)
-
-    def as_phi(self, scenario: Scenario, path: FloatArray, moved: FloatArray) -> FloatArray:
-        """Return its velocities as φ, or as near to that as it can, in each tick of a trajectory, (n − 1) × 2, m/s.
-
-        Arguments as of `choices`.
-        """
-        wanted = path_velocities(path, len(moved) - 1, scenario.time_step).tolist()
-        so_far = self._so_far(scenario, path, moved)
-        found = [self.motion.nearest(scenario, own, vx, vy) for own, (vx, vy) in zip(so_far, wanted, strict=True)]
-        return np.array(found).reshape(-1, 2)
-
-    def _so_far(self, scenario: Scenario, path: FloatArray, moved: FloatArray) -> Iterator[Pair]:
-        """Yield what it remembers at the begin of each tick of a trajectory."""
-        own = self.motion.first(scenario, path)
-        for vx, vy in (np.diff(moved, axis=0) / scenario.time_step).tolist():
-            yield own
-            own = self.motion.after(own, vx, vy)
 
 
 class CarPrediction(Protocol):

@@ -3,8 +3,8 @@
 The pedestrian moves at one speed or stays (paper, "Safe Trajectories"). Walkers need time to start, turn and stop:
 their velocity changes by so much a tick at most. Both have the pedestrian's six actions, which say where they want to
 go. Who is on wheels is a box that moves where it points. It keeps heading and speed from tick to tick; each tick it
-brakes, keeps its speed or speeds up, and steers left, not at all or right, the faster the less. docs/decisions.md says
-why these numbers. Kinds of installed packages are registered (`skd_sim.scenario.road_user`).
+brakes, keeps its speed or speeds up, and steers left, not at all or right, the faster the less. Where the limits are
+from: docs/decisions.md. Kinds of installed packages are registered (`skd_sim.scenario.road_user`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
@@ -23,8 +22,7 @@ from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
 
-from skd_adversary.crossing.parts import USER_ROW, Motion, Pair, RoadUserKernels, RoadUserModel, template
-from skd_adversary.crossing.path import path_velocities
+from skd_adversary.crossing.parts import USER_ROW, Pair, RoadUserKernels, RoadUserModel, template
 
 # Actions on foot, in the order of the paper
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
@@ -124,24 +122,6 @@ _PEDESTRIAN_KERNELS = RoadUserKernels(
 )
 
 
-def _on_foot(scenario: Scenario, own: Pair, action: int) -> Pair:
-    """Return the velocity of an action, m/s, as `compass_velocity`."""
-    vx, vy = action_velocity(action, scenario.adversary.speed)
-    return scenario.end.crossing * vx, vy
-
-
-def _nothing_before(scenario: Scenario, path: FloatArray) -> Pair:
-    return 0.0, 0.0
-
-
-def _nothing_after(own: Pair, vx: float, vy: float) -> Pair:
-    return own
-
-
-def _at_once(scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
-    return vx, vy
-
-
 _FORMATS: Final = ("carla", "metadrive", "openscenario", "osi", "commonroad", "levelxdata")
 
 
@@ -155,7 +135,6 @@ PEDESTRIAN: Final = RoadUserModel(
     "pedestrian",
     _PEDESTRIAN_KERNELS,
     lambda scenario: {},
-    Motion(_nothing_before, _nothing_after, _on_foot, _at_once),
     fastest=12.0,
     height=1.8,
     names={**_ON_FOOT, "metadrive": "PEDESTRIAN"},
@@ -232,35 +211,14 @@ _WALKER_KERNELS = replace(
 )
 
 
-def _walker_first(scenario: Scenario, path: FloatArray) -> Pair:
-    vx, vy = path_velocities(path, 1, scenario.time_step)[0].tolist()
-    return vx, vy
-
-
-def _walker_after(own: Pair, vx: float, vy: float) -> Pair:
-    return vx, vy
-
-
-def _walker_action(acceleration: float, scenario: Scenario, own: Pair, action: int) -> Pair:
-    return _walker_nearest(acceleration, scenario, own, *_on_foot(scenario, own, action))
-
-
-def _walker_nearest(acceleration: float, scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
-    return nearest_walked(acceleration * scenario.time_step, *own, vx, vy)
-
-
 def walker(
     name: str, acceleration: float, *, fastest: float, height: float, names: Mapping[str, str] | None = None
 ) -> RoadUserModel:
     """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
-    motion = Motion(
-        _walker_first, _walker_after, partial(_walker_action, acceleration), partial(_walker_nearest, acceleration)
-    )
     return RoadUserModel(
         name,
         _WALKER_KERNELS,
         lambda scenario: {"own_change": acceleration * scenario.time_step},
-        motion,
         fastest,
         height,
         names or {},
@@ -468,48 +426,24 @@ _WHEELED_KERNELS = RoadUserKernels(
 )
 
 
-def _arrival(scenario: Scenario) -> Pair:
-    """Return heading (rad) and speed (m/s) with which it comes where there is no φ: as fast as it can, by default."""
-    adversary = scenario.adversary
-    return adversary.first_heading, adversary.speed if adversary.start_speed is None else adversary.start_speed
-
-
 def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[str, Any]:
-    """Return limits, half of the box's length and of its width (m), and how it comes where there is no φ."""
-    _, half_length, half_width = scenario.adversary.shape
-    heading, speed = _arrival(scenario)
+    """Return limits, half of the box's length and of its width (m), and how it comes without φ."""
+    adversary = scenario.adversary
+    _, half_length, half_width = adversary.shape
     return {
         "own_limits": limits,
         "own_half_length": half_length,
         "own_half_width": half_width,
-        "own_heading": heading,
-        "own_speed": speed,
+        "own_heading": adversary.first_heading,
+        "own_speed": adversary.speed if adversary.start_speed is None else adversary.start_speed,
     }
-
-
-def _wheeled_first(scenario: Scenario, path: FloatArray) -> Pair:
-    return _arrived(np.ascontiguousarray(path), *_arrival(scenario), scenario.time_step)
-
-
-def _wheeled_after(own: Pair, vx: float, vy: float) -> Pair:
-    return settled(own[0], vx, vy)
-
-
-def _wheeled_action(limits: RidingLimits, scenario: Scenario, own: Pair, action: int) -> Pair:
-    return ridden(limits, *own, action, scenario.adversary.speed, scenario.time_step)
-
-
-def _wheeled_nearest(limits: RidingLimits, scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
-    return nearest_ridden(limits, *own, vx, vy, scenario.adversary.speed, scenario.time_step)
 
 
 def wheeled(
     name: str, limits: RidingLimits, *, fastest: float, height: float, names: Mapping[str, str] | None = None
 ) -> RoadUserModel:
     """Return a kind of road user on wheels; see `RoadUserModel`."""
-    motion = Motion(_wheeled_first, _wheeled_after, partial(_wheeled_action, limits), partial(_wheeled_nearest, limits))
-    parameters = partial(_wheeled_parameters_of, limits)
-    return RoadUserModel(name, _WHEELED_KERNELS, parameters, motion, fastest, height, names or {})
+    return RoadUserModel(name, _WHEELED_KERNELS, partial(_wheeled_parameters_of, limits), fastest, height, names or {})
 
 
 # --- the kinds that there are

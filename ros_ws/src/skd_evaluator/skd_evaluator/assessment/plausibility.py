@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from skd_adversary.car_models.car_model_file import fitted_car
+from skd_adversary.crossing.model import choices
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
@@ -192,14 +193,14 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
     scenario, ticks = episode.scenario, len(walked) - 1
     user = road_user_named(scenario.adversary.kind)
     path = walked[:1] if episode.safe_trajectory is None else episode.safe_trajectory.positions
-    choices: list[FloatArray] = []
+    possible: list[FloatArray] = []
+    as_phi = path_velocities(path, ticks, scenario.time_step)
     if episode.mode != Mode.REPLAY:
-        choices.append(user.choices(scenario, path, walked))
+        chosen = choices(user, scenario, path, walked)
+        possible, as_phi = [chosen[:, :-1]], chosen[:, -1]
     if follows_phi(episode):
-        replayed = episode.mode == Mode.REPLAY
-        as_phi = path_velocities(path, ticks, scenario.time_step) if replayed else user.as_phi(scenario, path, walked)
-        choices.append(np.broadcast_to(np.vstack([as_phi, np.zeros(2)]), (ticks, ticks + 1, 2)))
-    reached = walked[:-1, None] + scenario.time_step * np.concatenate(choices, axis=1)
+        possible.append(np.broadcast_to(np.vstack([as_phi, np.zeros(2)]), (ticks, ticks + 1, 2)))
+    reached = walked[:-1, None] + scenario.time_step * np.concatenate(possible, axis=1)
     found.note(np.abs(reached - walked[1:, None]).max(axis=-1).min(axis=1), "the adversary's position", 1)
 
 

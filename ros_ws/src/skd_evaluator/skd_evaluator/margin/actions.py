@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from skd_adversary.crossing.model import choices
 from skd_adversary.crossing.path import path_velocity
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, PEDESTRIAN, STAY, action_velocity, road_user_named
 from skd_sim.arrays import FloatArray
@@ -75,8 +76,7 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     if walked is None or len(walked) != tick + 1:
         raise ValueError(f"what a {user.name} can do at tick {tick} depends on the {tick + 1} places where it has been")
     so_far = np.vstack([walked, walked[-1:]])
-    own, as_phi = user.choices(scenario, path, so_far)[tick], user.as_phi(scenario, path, so_far)[tick]
-    return np.vstack([own, as_phi])
+    return np.asarray(choices(user, scenario, path, so_far)[tick])
 
 
 def has_exact_margin(car: CarUnderTest, scenario: Scenario) -> bool:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER
-from skd_adversary.crossing.road_users import EAST, PEDESTRIAN
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, check_trajectory
@@ -99,8 +98,7 @@ def _safe_episode(plan: Plan, number: int) -> EpisodeSpec:
 def _walker(scenario: Scenario, seed: int, number: int) -> Trajectory:
     """Return how somebody walks who means to go straight across, by the behaviour model, until arrival or horizon."""
     adversary, ticks, step = scenario.adversary, scenario.ticks, scenario.time_step
-    velocity = PEDESTRIAN.motion.velocity(scenario, (0.0, 0.0), EAST)
-    along = step * np.arange(ticks + 1)[:, None] * np.array(velocity)
+    along = step * np.arange(ticks + 1)[:, None] * np.array([scenario.end.crossing * adversary.speed, 0.0])
     normals = generator(seed, number, Role.WALKER).standard_normal(normals_of(ticks))
     intended = np.array([adversary.start_x, adversary.start_y]) + along
     way = walked(intended, load_behaviour(WALKERS).values, normals, 1.0, step)

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from skd_adversary.crossing.model import RoadUserMotion
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
@@ -87,7 +88,7 @@ class ActionSpace:
         self.ticks = ticks = scenario.ticks
         self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
         user = road_user_named(scenario.adversary.kind)
-        self.is_pedestrian, self._motion = user is PEDESTRIAN, user.motion
+        self.is_pedestrian, self._motion = user is PEDESTRIAN, RoadUserMotion(user, scenario, self.path)
         self._wanted = path_velocities(self.path, ticks, scenario.time_step).tolist()
         first = velocities(scenario, self.path, 0, self.path[:1])
         self.action_count = len(first)
@@ -112,16 +113,16 @@ class ActionSpace:
 
     def _moved(self, actions: IntArray) -> FloatArray:
         """Return where a road user with a state of its own goes, positions at ticks, m."""
-        scenario, step, motion = self.scenario, self.scenario.time_step, self._motion
-        own = motion.first(scenario, self.path)
+        step, motion = self.scenario.time_step, self._motion
+        motion.begin()
         x, y = self.path[0].tolist()
         found = [(x, y)]
         for action, (vx, vy) in zip(actions.tolist(), self._wanted, strict=True):
             if action == self.as_phi:
-                vx, vy = motion.nearest(scenario, own, vx, vy)
+                vx, vy = motion.nearest(vx, vy)
             else:
-                vx, vy = motion.velocity(scenario, own, action)
-            own = motion.after(own, vx, vy)
+                vx, vy = motion.velocity(action)
+            motion.move(vx, vy)
             x, y = x + step * vx, y + step * vy
             found.append((x, y))
         return np.array(found)
