@@ -62,7 +62,7 @@ def test_along_a_curve_it_is_what_it_is_along_a_straight_road() -> None:
         (x + right * math.sin(heading), y - right * math.cos(heading))
         for (x, y, heading), right in zip(places, across, strict=True)
     ]
-    car = [(*road_pose(road.line, along)[:2], speed) for _, along, speed in straight.car]
+    car = [(*road_pose(road.line, along)[:2], speed) for _, along, _, speed in straight.car]
     bent = log_of(replace(CROSSING, road=road), np.array(adversary), np.array(car), straight.impact_time)
     assert deceleration_at_entry(bent) == pytest.approx(deceleration_at_entry(straight), rel=0.02)
 

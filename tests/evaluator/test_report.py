@@ -287,7 +287,10 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     of_episodes = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
     for name in (*of_episodes, "clipped", "reason"):
         arrays[name] = arrays[name][kept]
-    arrays |= {"offsets": offsets, **{name: arrays[name][: offsets[-1]] for name in ("positions", "car", "belief")}}
+    arrays |= {
+        "offsets": offsets,
+        **{name: arrays[name][: offsets[-1]] for name in ("positions", "car", "heading", "belief")},
+    }
     np.savez(folder / "episodes.npz", **arrays)
     (none,) = read_subjects([folder])
     text = read(page.render([none])).text
