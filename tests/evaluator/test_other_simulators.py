@@ -54,7 +54,7 @@ def test_contacts_that_differ_are_counted_and_said():
         log(hit, 1.0, 1.02), log(hit, 1.0, 0.9), log(hit, 1.0, math.nan), log(passed, math.nan, 0.5),
         log(passed, math.nan, math.nan), log(Outcome.ABORTED, math.nan, 0.5),
     ]  # fmt: skip
-    found = simulator_contacts(logs)["simulator_contacts"]
+    found = simulator_contacts(logs)
     counts = [found[name] for name in ("both", "geometry_alone", "simulator_alone", "episodes")]
     assert counts == [2, 1, 1, 5]
     assert found["greatest_gap"] == pytest.approx(0.1)
@@ -63,7 +63,7 @@ def test_contacts_that_differ_are_counted_and_said():
     assert simulator_contacts([log(hit, 1.0, None)]) == {}
     assert contact_warnings({}) == []
     agreed = simulator_contacts(logs[:2])
-    assert contact_warnings(agreed) == []
+    assert contact_warnings({"simulator_contacts": agreed}) == []
 
 
 def test_margin_and_risk_by_whole_episodes(twin, tmp_path):

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_evaluator.assessment.assessment import Assessment, in_order
+from skd_evaluator.assessment.episode_figures import standing_contacts
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.objective_result import standing_contacts
 from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories

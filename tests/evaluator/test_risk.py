@@ -201,7 +201,7 @@ def test_the_number_of_workers_changes_nothing(name, ratings):
     one, two = (rating.risks for rating in found)
     assert one is not None
     assert two is not None
-    assert json.dumps(one.figures()) == json.dumps(two.figures())
+    assert json.dumps(one.as_dict()) == json.dumps(two.as_dict())
     for mine, theirs in zip(one.scales, two.scales, strict=True):
         assert mine.touches.tobytes() == theirs.touches.tobytes()
         assert (mine.subsets is None) == (theirs.subsets is None) == (name == "carla")

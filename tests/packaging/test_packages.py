@@ -24,7 +24,7 @@ PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}
 ROSDEP |= {"pydantic": "python3-pydantic", "pydantic_core": "python3-pydantic", "sklearn": "python3-sklearn"}
 ROSDEP |= {"llvmlite": "python3-numba"}  # which is made of it
-ROSDEP |= {"PIL": "python3-pil", "jinja2": "python3-jinja2"}
+ROSDEP |= {"PIL": "python3-pil", "jinja2": "python3-jinja2", "jsonschema": "python3-jsonschema"}
 ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 NOT_IN_ROSDEP = {
     "altair",

@@ -3,37 +3,33 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
-from skd_sim.options.options import further_options
-from skd_sim.world.episode import EpisodeLog, Outcome, counted_reasons
+from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.episode_figures import Surrogates, command_age, simulator_contacts, surrogates_of
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, figures_html, keys_of, ordered, taken
+from skd_evaluator.assessment.episode_figures import Surrogates, surrogates_of
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, entries, figures_html
 from skd_evaluator.assessment.objective_result import (
     CONFIDENCE,
     KamikazeSet,
     ObjectiveResult,
     objective_result,
-    standing_contacts,
 )
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
-from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.margins import Margins, optimality_gap
 from skd_evaluator.metrics.risks import Risks
 from skd_evaluator.metrics.sample_size import UntilWidth
-from skd_evaluator.metrics.statistics import Interval, wilson_interval
+from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, Vulnerability, vulnerability_curve
-from skd_evaluator.version import version
 
 HIT_SHARE = 0.95
 """Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
@@ -134,10 +130,10 @@ class Assessment:
         groups = [group for one in self.results for group in one.kamikaze]
         return [log for group in groups for log in (*group.logs, *group.misses)]
 
-    def _logs(self) -> Iterator[EpisodeLog]:
-        """Yield the episodes that ran to their end, and those along φ that did not."""
-        yield from self.kamikaze_logs
-        yield from self.nominal_runs
+    @property
+    def logs(self) -> list[EpisodeLog]:
+        """Episodes that ran to their end, and those along φ that did not."""
+        return [*self.kamikaze_logs, *self.nominal_runs]
 
     def hits(self) -> list[tuple[int, int]]:
         """Return for each safe trajectory how many runs along it ended in a collision, and how many there were.
@@ -162,11 +158,6 @@ class Assessment:
             left = alike.get(one.positions.tobytes())
             hits.append(left.pop(0) if left else (0, 0))
         return [(hit, runs) for hit, runs in hits]
-
-    @property
-    def hit_runs(self) -> int:
-        """Runs along φ that ended in a hit by the moving car."""
-        return sum(log.hit for log in self.nominal_runs)
 
     def optimality_gap(self) -> tuple[float | None, Interval | None]:
         """Return how many times the margin the kamikazes that rank the car needed, in the same trials."""
@@ -214,6 +205,16 @@ class Assessment:
         return clustered_rate(self.hits(), self.confidence)
 
     @property
+    def clustered_hit_rate(self) -> Clustered | None:
+        """The nominal collision rate with what its error over φ is."""
+        return clustered_rate(self._per_phi(lambda log: log.hit), self.confidence)
+
+    @property
+    def nominal_collision_rate(self) -> float | None:
+        """Share of the runs along φ that the moving car hit."""
+        return sum(log.hit for log in self.nominal_runs) / self.completed_runs if self.completed_runs else None
+
+    @property
     def contact_rate(self) -> float | None:
         """Share of the runs along φ that ended in a collision."""
         return self.collisions / self.completed_runs if self.completed_runs else None
@@ -226,87 +227,42 @@ class Assessment:
     def _repr_html_(self) -> str:
         return figures_html(self.as_dict(), not_credible(self.warnings))
 
+    @cached_property
+    def objectives(self) -> dict[str, dict[str, Any]]:
+        """All figures of the kamikazes of each objective, by its name."""
+        return {str(one.plan.objective): one.figures() for one in self.results}
+
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.
 
         At the top `skd` and what belongs to it are those of the paper's objective and `deviation` that of objective
         `deviation`, or both of the only objective that ran; under `objectives` are all figures of each.
         """
-        plan = self.plan
-        objectives = {str(one.plan.objective): one.figures() for one in self.results}
-        of_skd, of_deviation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deviation))
-        close, close_interval = self.optimality_gap()
-        nominal_collision_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.confidence)
-        rate = self.contact_rate
-        clustered = self.clustered_contact_rate
-        clusterings: dict[Of, Mapping[str, Any]] = {
-            Of.RANKING: of_deviation["clustering"],
-            Of.SKD: of_skd["clustering"],
-            Of.CAR: {"contact_rate": clustered and clustered.as_dict()},
-        }
-        found = {
-            **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
-            **(dict.fromkeys(keys_of(Of.RISK)) if self.risks is None else self.risks.figures()),
-            "risk_note": self.risk_note,
-            **taken(Of.RANKING, of_deviation),
-            **taken(Of.SKD, of_skd),
-            "margin_note": self.margin_note,
-            "optimality_gap": close,
-            "optimality_gap_ci95": close_interval,
-            **equivalent_entries(self.equivalent),
-            "equivalent_multiplier_note": self.equivalent_note,
-            "eta_max": plan.scenario.eta_max,
-            "aborted": len(self.reasons),
-            "aborted_reasons": counted_reasons(self.reasons),
-            "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
-            **simulator_contacts(self._logs()),
-            **({} if self.simulation is None else {"simulation": dict(self.simulation)}),
-            "command_age": command_age(self._logs()),
-            "nominal_collision_rate": self.hit_runs / self.completed_runs if self.completed_runs else None,
-            "nominal_collision_rate_ci95": nominal_collision_rate and nominal_collision_rate.interval,
-            "contact_rate": rate,
-            "contact_rate_ci95_runs": wilson_interval(self.collisions, self.completed_runs)
-            if rate is not None
-            else None,
-            "contact_rate_ci95": clustered and clustered.interval,
-            "clustering": {
-                one.key: clusterings[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered
-            },
-            "until_width": self.until_width and self.until_width.as_dict(),
-            "collision_runs": self.completed_runs,
-            "collision_standing_contacts": standing_contacts(self.nominal_runs),
-            "left_out": list(self.left_out),
-            "warnings": list(self.warnings),
-            **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
-            "distinct_safe_trajectories": len({one.positions.tobytes() for one in self.safe}),
-            "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deviation),
-            "objectives": objectives,
-            "surrogate_measures": self.surrogates.as_dict(),
-            "vulnerability_curve": self.vulnerability and self.vulnerability.as_dict(),
-            "seconds": round(self.seconds, 3),
-            "seed": plan.seed,
-            "controller": plan.controller,
-            "multiplier": plan.car.stated_multiplier,
-            "safe": plan.safe,
-            "simulations": plan.simulations,
-            "maximum_distance": plan.maximum_distance,
-            "knowledge": str(plan.knows),
-            "options": further_options(plan),
-            "car_model": json.loads(plan.car_model) if plan.car_model else None,
-            "scenario": plan.scenario.as_dict(),
-            "version": version(),
-            "provenance": self._provenance(),
-        }
-        return ordered(found)
+        subjects: dict[Of, Any] = {Of.MARGIN: self.margins, Of.RISK: self.risks, Of.CAR: self, Of.SETTING: self}
+        subjects |= {Of.RANKING: self.for_deviation, Of.SKD: self.for_skd}
+        return entries(AT_THE_TOP.values(), subjects)
 
-    def _provenance(self) -> dict[str, Any] | None:
+    def clustering(self) -> dict[str, Any]:
+        """Return what is known of the error over φ of each figure at the top, by its key."""
+        parts = {Of.RANKING: self.for_deviation.clustering(), Of.SKD: self.for_skd.clustering()}
+        clustered = self.clustered_contact_rate
+        parts[Of.CAR] = {"contact_rate": clustered and clustered.as_dict()}
+        return {one.key: parts[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered}
+
+    def stated_provenance(self) -> dict[str, Any] | None:
+        """Return what ran, when and where, with the digest of the car model; None: it is not known."""
         if self.provenance is None:
             return None
         model = self.plan.car_model
         return {**self.provenance, "car_model_sha256": hashlib.sha256(model.encode()).hexdigest() if model else None}
 
-    def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deviation: dict[str, Any]) -> list[dict[str, Any]]:
-        rows = zip(of_skd["per_safe_trajectory"], of_deviation["per_safe_trajectory"], self.hits(), strict=True)
+    def per_safe_trajectory(self) -> list[dict[str, Any]]:
+        """Return the figures of each φ: its SKD and deviation, and how often it was hit in runs along it."""
+        of_skd, of_deviation = (
+            self.objectives[str(one.plan.objective)]["per_safe_trajectory"]
+            for one in (self.for_skd, self.for_deviation)
+        )
+        rows = zip(of_skd, of_deviation, self.hits(), strict=True)
         return [
             {
                 **skd,

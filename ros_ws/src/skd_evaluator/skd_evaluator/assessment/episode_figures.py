@@ -82,11 +82,17 @@ def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place
     return float(clearances(Interaction(np.zeros(1), states, place[None], nobody_moves, turned, footprint, shape))[0])
 
 
-KEY: Final = "simulator_contacts"
+STANDING = 0.1
+"""m/s below which a car stands when it is touched: then it was walked into."""
+
+
+def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
+    """Return how many episodes ended with an adversary that walked into a standing car."""
+    return sum(log.outcome == Outcome.COLLISION and log.impact_speed < STANDING for log in logs)
 
 
 def simulator_contacts(logs: Iterable[EpisodeLog]) -> dict[str, Any]:
-    """Return the entry of assessment.json under its key; nothing where the simulator has no shapes of its own.
+    """Return the entry of assessment.json; empty where the simulator has no shapes of its own.
 
     Args:
         logs: episodes; aborted ones do not count.
@@ -98,13 +104,11 @@ def simulator_contacts(logs: Iterable[EpisodeLog]) -> dict[str, Any]:
     found = [(not math.isnan(ours), not math.isnan(its)) for ours, its in pairs]
     gaps = [abs(ours - its) for ours, its in pairs if not math.isnan(ours - its)]
     return {
-        KEY: {
-            "both": found.count((True, True)),
-            "geometry_alone": found.count((True, False)),
-            "simulator_alone": found.count((False, True)),
-            "episodes": len(asked),
-            "greatest_gap": max(gaps, default=None),
-        }
+        "both": found.count((True, True)),
+        "geometry_alone": found.count((True, False)),
+        "simulator_alone": found.count((False, True)),
+        "episodes": len(asked),
+        "greatest_gap": max(gaps, default=None),
     }
 
 

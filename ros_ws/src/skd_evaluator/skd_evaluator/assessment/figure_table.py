@@ -1,43 +1,53 @@
 """The table of figures: what stands in assessment.json, a row each, in the order in which it is written.
 
-Whoever writes, shows, checks or compares figures goes through this table. So a new one is its row here, and the entry
-under its key where it is computed: in `Margins.figures`, `ObjectiveResult.figures` or `Assessment.as_dict`.
+A new figure is one row: its key, unit and schema, a function of what it is of, its intervals, which way is better, and
+where it is shown. Whatever writes, shows, checks or compares figures goes through this table.
 """
 
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from enum import Enum, StrEnum
 from typing import Any
 
+from skd_sim.options.options import further_options
+from skd_sim.world.episode import counted_reasons
+
+from skd_evaluator.assessment.episode_figures import closing_speed, command_age, simulator_contacts, standing_contacts
+from skd_evaluator.metrics.clustered import Clustered
+from skd_evaluator.metrics.equivalent_multiplier import equivalent_entries
+from skd_evaluator.metrics.statistics import Interval, wilson_interval
+from skd_evaluator.version import version
+
 Schema = Mapping[str, Any]
+Value = Callable[[Any], Any]
 CI95, THESE_PHI = "ci95", "ci95_these_phi"
 
 
 class Of(Enum):
-    """Whose a figure is, which says where it stands and what computes it.
+    """What a figure is computed of, which says where it stands.
 
-    At the top stand those of the margin (`Margins.figures`), of the risk (`Risks.figures`), of the car
-    (`Assessment.as_dict`) and settings, which no gate may ask for. Those of the deviation, by which planned kamikazes
-    rank cars, and of SKD stand under each objective (`ObjectiveResult.figures`), and at the top those of the kamikazes
-    that rank the car, or that SKD is of; those of an objective stand there alone. In the rows of each φ stand
-    those of φ; of PHI_TOP at the top alone.
+    At the top stand those of the margin (`Margins`), of the risk (`Risks`), of the car and settings, which no gate
+    may ask for (both of `Assessment`). Those of the deviation, by which planned kamikazes rank cars, and of SKD stand
+    under each objective (of `ObjectiveResult`), and at the top those of the kamikazes that rank the car, or that SKD is
+    of; those of an objective stand there alone. In the rows of each φ stand those of φ; of PHI_TOP at the top alone.
     """
 
     MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP, RISK = range(9)
 
 
-class Told(StrEnum):
-    """Why an entry cannot be recomputed from the episodes beside it."""
+class Origin(StrEnum):
+    """Where an entry is from that cannot be recomputed from the episodes beside it."""
 
     EPISODES = ""
     BASIC_CARS = "read off margins of basic cars, which take a run"
     SEARCH = "how the margin was searched, which takes the car"
     TESTED = "episodes of their own, which take the car"
     GRAPH = "wall time, which the graph alone knew"
-    ASKED = "what was asked for, when and where, and what this version does not compute"
+    REQUEST = "what was requested, when and where"
 
 
 class Better(StrEnum):
@@ -102,20 +112,22 @@ class Figure:
     Attributes:
         key: in assessment.json.
         kind: what it is written as, and how it is shown.
+        value: computes it of its subject (`Of`); None in the rows of each φ, which are computed together.
         says: what it is, for the schema.
         of: whose it is.
         label: what it is called where people read it.
         better: which way is better for the car.
-        by_phi: whether it has an interval by φ, `…_ci95`.
+        by_phi: computes its interval by φ, `…_ci95`; None: it has none.
         independent: the end of the key of its interval that takes trials, pairs or runs as independent; empty: none.
+        plain: computes that interval.
         bare: it stands without its intervals where several cars do.
         source: its key under an objective, where that is another one; then it stands there as a row of its own.
         per_phi: it stands in the rows of each φ, too.
         spoken: the texts beside it are what is shown, for it may lie beyond what was compared.
         clustered: `clustering` has what its interval by φ is made of.
         planned: what kamikazes know of the car stands beside it.
-        told: why it cannot be recomputed.
-        optional: it is there only where it was asked for.
+        origin: why it cannot be recomputed.
+        optional: it is there only where it is known.
         first: it is one of the few of `summary` that the terminal and the page show first.
         summary: its place among the rows of the gate's Markdown, as others below; 0: it is not there.
         details: in the terminal's `--details` and the page's table, behind those that are written out there.
@@ -129,19 +141,21 @@ class Figure:
 
     key: str
     kind: Kind
+    value: Value | None
     says: str = ""
     of: Of = Of.CAR
     label: str = ""
     better: Better = Better.NEITHER
-    by_phi: bool = False
+    by_phi: Value | None = None
     independent: str = ""
+    plain: Value | None = None
     bare: bool = False
     source: str = ""
     per_phi: bool = False
     spoken: bool = False
     clustered: bool = False
     planned: bool = False
-    told: Told = Told.EPISODES
+    origin: Origin = Origin.EPISODES
     optional: bool = False
     first: bool = False
     summary: int = 0
@@ -173,6 +187,12 @@ class Figure:
         """Its label with its unit, above values that have none."""
         return f"{self.label} ({self.kind.unit})" if self.kind.unit else self.label
 
+    def entries(self, subject: Any) -> Iterator[tuple[str, Any]]:
+        """Yield the keys that it is written under, and what stands there of a subject; null without one."""
+        ends = (self.value, *filter(None, (self.plain, self.by_phi)))
+        for key, value in zip(self.keys, ends, strict=True):
+            yield key, None if subject is None or value is None else value(subject)
+
     def schemas(self) -> Iterator[tuple[str, Schema]]:
         """Yield the keys that it is written under, and their schemas."""
         yield self.key, self.described()
@@ -196,150 +216,217 @@ _WILSON = "Wilson's 95 % interval, episodes taken as independent"
 _MARGIN, _DEVIATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
 _RISK = Of.RISK
 _MORE, _LESS = Better.MORE, Better.LESS
+_RATE: dict[str, Any] = {
+    "by_phi": lambda o: _interval(o.clustered_success_rate),
+    "independent": "ci95_trials",
+    "plain": lambda o: wilson_interval(o.successes, o.trials),
+}
+
+
+def _interval(found: Clustered | None) -> Interval | None:
+    return found.interval if found else None
+
+
+def _equivalent(end: str) -> Value:
+    return lambda a: equivalent_entries(a.equivalent)[f"equivalent_multiplier{end}"]
+
 
 FIGURES = (
-    Figure("margin", LENGTH, "mean over all trials of the least deviation with which anybody could have been hit "
-           "by the moving car, at most eta_max each, m; null: not known", _MARGIN, "margin", _MORE, by_phi=True,
-           summary=1, first=True, chart=1, difference=1, campaign=1, sweep=1, compare=1, junit=1),
-    Figure("margin_p10", LENGTH, "10 % of the trials have a margin of at most this, m: how little is enough in the "
-           "worst of them", _MARGIN, "margin that 10 % of the trials do not exceed", _MORE,
-           details=2, campaign=25, compare=24),
-    Figure("margin_converged", FLAG_OR_NULL, "whether the search has converged; if not, the margin is an upper bound; "
-           "exact ones are", _MARGIN, told=Told.SEARCH, campaign=2, compare=2, junit=2),
-    Figure("margin_budget", COUNT_OR_NULL, "candidate trajectories that the search drove in a trial; "
-           "null: it is exact, or not known", _MARGIN, told=Told.SEARCH, campaign=3, compare=3),
-    Figure("margin_excess", Kind(or_null(ref("margin_excess"))), "how much too high the margin may still be, estimated "
-           "from trials that were searched deeper; null: it is exact, or not known", _MARGIN, told=Told.SEARCH),
-    Figure("margin_sources", _typed("array", "null", items=ref("margin_source")), "what each source of "
-           "candidates brought; null: it is exact, or not known", _MARGIN, told=Told.SEARCH),
-    Figure("margin_gap", LENGTH, "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
-    Figure("margin_trials", COUNT_OR_NULL, of=_MARGIN, compare=6),
-    Figure("margin_beyond", COUNT_OR_NULL, "trials in which nobody is hit within eta_max", _MARGIN,
-           campaign=5, compare=7),
-    Figure("margin_how", TEXT_OR_NULL, "what was driven, where it was not the car itself in process", _MARGIN,
-           told=Told.SEARCH, campaign=4, compare=4),
-    Figure("impact_speed", SPEEDS, "speed of the car when it hits on the margin trajectories, m/s: mean and 90 % "
-           "quantile", _MARGIN, "impact speed", _LESS, summary=4, first=True, campaign=6, compare=13),
-    Figure("risk_1", PROBABILITY, "R(1): how likely the front of the moving car hits somebody who walks φ as people do",
-           _RISK, "risk R(1)", _LESS, by_phi=True, independent="ci95_runs",
+    Figure("margin", LENGTH, lambda m: m.mean,
+           "mean over all trials of the least deviation at which the moving car hits, at most eta_max each, m; null: "
+           "not known",
+           _MARGIN, "margin", _MORE, by_phi=lambda m: m.ci95, summary=1, first=True, chart=1, difference=1,
+           campaign=1, sweep=1, compare=1, junit=1),
+    Figure("margin_p10", LENGTH, lambda m: m.quantile(0.1),
+           "10 % of the trials have a margin of at most this, m: how little is enough in the worst of them", _MARGIN,
+           "margin that 10 % of the trials do not exceed", _MORE, details=2, campaign=25, compare=24),
+    Figure("margin_converged", FLAG_OR_NULL, lambda m: m.converged,
+           "whether the search has converged; if not, the margin is an upper bound; exact ones are", _MARGIN,
+           origin=Origin.SEARCH, campaign=2, compare=2, junit=2),
+    Figure("margin_budget", COUNT_OR_NULL, lambda m: m.search and m.search.budget,
+           "candidate trajectories that the search drove in a trial; null: it is exact, or not known", _MARGIN,
+           origin=Origin.SEARCH, campaign=3, compare=3),
+    Figure("margin_excess", Kind(or_null(ref("margin_excess"))),
+           lambda m: m.search and m.search.excess and asdict(m.search.excess),
+           "how much too high it may be, estimated from trials that were searched deeper; null: exact, or not known",
+           _MARGIN, origin=Origin.SEARCH),
+    Figure("margin_sources", _typed("array", "null", items=ref("margin_source")),
+           lambda m: m.search and [dict(one) for one in m.search.sources],
+           "what each source of candidates brought; null: it is exact, or not known", _MARGIN, origin=Origin.SEARCH),
+    Figure("margin_gap", LENGTH, lambda m: m.gap,
+           "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
+    Figure("margin_trials", COUNT_OR_NULL, lambda m: int(m.values.size), of=_MARGIN, compare=6),
+    Figure("margin_beyond", COUNT_OR_NULL, lambda m: m.beyond, "trials in which nobody is hit within eta_max",
+           _MARGIN, campaign=5, compare=7),
+    Figure("margin_how", TEXT_OR_NULL, lambda m: m.search.how if m.search else "",
+           "what was driven, where it was not the car itself in process", _MARGIN, origin=Origin.SEARCH, campaign=4,
+           compare=4),
+    Figure("impact_speed", SPEEDS, lambda m: m.impact_speed,
+           "speed of the car when it hits on the margin trajectories, m/s: mean and 90 % quantile", _MARGIN,
+           "impact speed", _LESS, summary=4, first=True, campaign=6, compare=13),
+    Figure("risk_1", PROBABILITY, lambda r: r.value_at(1.0),
+           "R(1): how likely the front of the moving car hits somebody who walks φ as people do", _RISK, "risk R(1)",
+           _LESS, by_phi=lambda r: r.interval_at(1.0), independent="ci95_runs", plain=lambda r: r.plain_at(1.0),
            summary=11, first=True, details=4, difference=7, campaign=26, compare=25, junit=12),
-    Figure("risk_2", PROBABILITY, "R(2): the same of people who deviate twice as much", _RISK, "risk R(2)", _LESS,
-           by_phi=True, independent="ci95_runs",
-           summary=12, details=5, difference=8, campaign=27, compare=26),
-    Figure("risk_3", PROBABILITY, "R(3): three times as much", _RISK, "risk R(3)", _LESS, by_phi=True,
-           independent="ci95_runs", summary=13, details=6, difference=9, campaign=28, compare=27),
-    Figure("risk", Kind(or_null(ref("risk"))), "by which behaviour model, and how it was estimated", _RISK),
-    Figure("risk_note", TEXT, "why the risk is not known", told=Told.ASKED, campaign=29),
-    Figure("margin_note", TEXT, "why the margin is not known", told=Told.SEARCH, compare=5),
-    Figure("optimality_gap", RATIO, "planned deviation over margin, in the same trials",
-           label="optimality gap, planned / margin", better=Better.NEAR_1, by_phi=True,
-           summary=6, first=True, campaign=7, sweep=5, compare=17, junit=7),
-    Figure("deviation", LENGTH, "restricted mean deviation of planned kamikazes over all trials; one that the "
-           "moving car does not hit counts as eta_max, m", _DEVIATION, "planned deviation", _MORE, by_phi=True,
-           independent="ci95_trials", per_phi=True, clustered=True, planned=True,
+    Figure("risk_2", PROBABILITY, lambda r: r.value_at(2.0), "R(2): the same of people who deviate twice as much",
+           _RISK, "risk R(2)", _LESS, by_phi=lambda r: r.interval_at(2.0), independent="ci95_runs",
+           plain=lambda r: r.plain_at(2.0), summary=12, details=5, difference=8, campaign=27, compare=26),
+    Figure("risk_3", PROBABILITY, lambda r: r.value_at(3.0), "R(3): three times as much", _RISK, "risk R(3)", _LESS,
+           by_phi=lambda r: r.interval_at(3.0), independent="ci95_runs", plain=lambda r: r.plain_at(3.0), summary=13,
+           details=6, difference=9, campaign=28, compare=27),
+    Figure("risk", Kind(or_null(ref("risk"))), lambda r: r.as_dict(),
+           "by which behaviour model, and how it was estimated", _RISK),
+    Figure("risk_note", TEXT, lambda a: a.risk_note, "why the risk is not known", origin=Origin.REQUEST, campaign=29),
+    Figure("margin_note", TEXT, lambda a: a.margin_note, "why the margin is not known",
+           origin=Origin.SEARCH, compare=5),
+    Figure("optimality_gap", RATIO, lambda a: a.optimality_gap()[0],
+           "planned deviation over margin, in the same trials", by_phi=lambda a: a.optimality_gap()[1],
+           label="optimality gap, planned / margin", better=Better.NEAR_1, summary=6, first=True, campaign=7,
+           sweep=5, compare=17, junit=7),
+    Figure("deviation", LENGTH, lambda o: o.deviation.mean,
+           "restricted mean deviation of planned kamikazes over all trials, m; one that is not hit counts as eta_max",
+           _DEVIATION, "planned deviation", _MORE, by_phi=lambda o: o.deviation.ci95_clustered,
+           independent="ci95_trials", plain=lambda o: o.deviation.ci95, per_phi=True, clustered=True, planned=True,
            summary=5, first=True, chart=3, difference=2, campaign=9, sweep=2, compare=15, junit=5),
-    Figure("deviation_of_successes", LENGTH, "mean deviation of the trials that the moving car hit, m",
-           _DEVIATION, better=_MORE, independent=CI95, bare=True, per_phi=True, campaign=10, sweep=3),
-    Figure("deviation_success_rate", SHARE, "success rate of the kamikazes whose deviation is reported",
-           _DEVIATION, better=_LESS, by_phi=True, independent="ci95_trials", bare=True, source="success_rate",
+    Figure("deviation_of_successes", LENGTH, lambda o: o.deviation.of_successes,
+           "mean deviation of the trials that the moving car hit, m", _DEVIATION, independent=CI95,
+           plain=lambda o: o.deviation.of_successes_ci95, better=_MORE, bare=True, per_phi=True, campaign=10,
+           sweep=3),
+    Figure("deviation_success_rate", SHARE, lambda o: o.success_rate,
+           "success rate of the kamikazes whose deviation is reported",
+           _DEVIATION, better=_LESS, **_RATE, bare=True, source="success_rate",
            clustered=True, campaign=11, sweep=4, compare=16),
-    Figure("equivalent_multiplier", NUMBER, "C of the basic car with the same margin on the same φ; null beyond those "
-           "compared, or where it is not known", label="equivalent multiplier C", better=_MORE, spoken=True,
-           told=Told.BASIC_CARS, summary=2, first=True, campaign=12, compare=8),
-    Figure("equivalent_multiplier_text", TEXT_OR_NULL, told=Told.BASIC_CARS, compare=9, junit=3),
-    Figure("equivalent_multiplier_ci95", OPEN_INTERVAL, "95 % interval of it over φ", told=Told.BASIC_CARS, compare=10),
-    Figure("equivalent_multiplier_ci95_text", TEXT_OR_NULL, told=Told.BASIC_CARS, compare=11),
-    Figure("equivalent_multiplier_ci95_these_phi", OPEN_INTERVAL, "95 % interval of it on these φ",
-           told=Told.BASIC_CARS, campaign=13),
-    Figure("equivalent_multiplier_ci95_these_phi_text", TEXT_OR_NULL, told=Told.BASIC_CARS),
-    Figure("measures", _each(ref("measure")), "further measures of the pairs, by name", _DEVIATION),
-    Figure("equivalent_multiplier_note", TEXT, told=Told.BASIC_CARS),
-    Figure("eta_max", Kind({"type": "number", "exclusiveMinimum": 0}, "m"), "η_max, m", _SETTING,
-           campaign=23, compare=21),
-    Figure("skd", LENGTH, "Safe-Kamikaze Distance: mean discrete Fréchet distance of all pairs, m", _SKD, "SKD", _MORE,
-           by_phi=True, independent="ci95_pairs", per_phi=True, clustered=True,
-           summary=7, first=True, chart=4, difference=3, campaign=15, sweep=6, compare=19, junit=8),
-    Figure("skd_prefix", LENGTH, "mean prefix distance, φ cut at the duration of ψ, m", _SKD, "prefix distance", _MORE,
-           by_phi=True, independent="ci95_pairs", bare=True, per_phi=True, clustered=True,
-           summary=10, difference=4, campaign=16, sweep=7),
-    Figure("variance", Kind(ref("number_or_null"), "m²"), "sample variance of the Fréchet distance, m²", _SKD,
-           campaign=17, sweep=8),
-    Figure("plans_deviation", FLAG, "whether these kamikazes plan for the deviation; else for the Fréchet distance",
-           _OBJECTIVE),
-    Figure("pairs", COUNT, of=_SKD, per_phi=True, campaign=18, sweep=9),
-    Figure("discarded_by_distance", COUNT, of=_SKD),
-    Figure("probability_bound", _each(ref("rate")), "η (m) → Theorem 1's upper bound of P(distance ≤ η) by these "
-           "kamikazes", _SKD),
-    Figure("probability_bound_ci95", _each(INTERVAL.schema), of=_SKD),
-    Figure("kamikaze_success_rate", SHARE, "success rate of the kamikazes whose SKD is reported", _SKD,
-           "of the trials of SKD collide", _LESS, by_phi=True, independent="ci95_trials", bare=True,
+    Figure("equivalent_multiplier", NUMBER, _equivalent(""),
+           "C of the basic car with the same margin on the same φ; null beyond those compared, or not known",
+           label="equivalent multiplier C", better=_MORE, spoken=True, origin=Origin.BASIC_CARS, summary=2, first=True,
+           campaign=12, compare=8),
+    Figure("equivalent_multiplier_text", TEXT_OR_NULL,
+           _equivalent("_text"), origin=Origin.BASIC_CARS, compare=9,
+           junit=3),
+    Figure("equivalent_multiplier_ci95", OPEN_INTERVAL,
+           _equivalent("_ci95"), "95 % interval of it over φ",
+           origin=Origin.BASIC_CARS, compare=10),
+    Figure("equivalent_multiplier_ci95_text", TEXT_OR_NULL,
+           _equivalent("_ci95_text"), origin=Origin.BASIC_CARS,
+           compare=11),
+    Figure("equivalent_multiplier_ci95_these_phi", OPEN_INTERVAL,
+           _equivalent("_ci95_these_phi"),
+           "95 % interval of it on these φ", origin=Origin.BASIC_CARS, campaign=13),
+    Figure("equivalent_multiplier_ci95_these_phi_text", TEXT_OR_NULL,
+           _equivalent("_ci95_these_phi_text"),
+           origin=Origin.BASIC_CARS),
+    Figure("measures", _each(ref("measure")), lambda o: o.measure_figures(),
+           "further measures of the pairs, by name", _DEVIATION),
+    Figure("equivalent_multiplier_note", TEXT, lambda a: a.equivalent_note, origin=Origin.BASIC_CARS),
+    Figure("eta_max", Kind({"type": "number", "exclusiveMinimum": 0}, "m"), lambda a: a.plan.scenario.eta_max,
+           "η_max, m", _SETTING, campaign=23, compare=21),
+    Figure("skd", LENGTH, lambda o: o.skd.skd,
+           "Safe-Kamikaze Distance: mean discrete Fréchet distance of all pairs, m", _SKD, "SKD", _MORE,
+           by_phi=lambda o: o.skd.skd_ci95, independent="ci95_pairs", plain=lambda o: o.skd.skd_ci95_pairs,
+           per_phi=True, clustered=True, summary=7, first=True, chart=4, difference=3, campaign=15, sweep=6,
+           compare=19, junit=8),
+    Figure("skd_prefix", LENGTH, lambda o: o.skd.skd_prefix, "mean prefix distance, φ cut at the duration of ψ, m",
+           _SKD, "prefix distance", _MORE, by_phi=lambda o: o.skd.skd_prefix_ci95, independent="ci95_pairs",
+           plain=lambda o: o.skd.skd_prefix_ci95_pairs, bare=True, per_phi=True, clustered=True, summary=10,
+           difference=4, campaign=16, sweep=7),
+    Figure("variance", Kind(ref("number_or_null"), "m²"), lambda o: o.skd.variance,
+           "sample variance of the Fréchet distance, m²", _SKD, campaign=17, sweep=8),
+    Figure("plans_deviation", FLAG, lambda o: o.plan.limits_deviation,
+           "whether these kamikazes plan for the deviation; else for the Fréchet distance", _OBJECTIVE),
+    Figure("pairs", COUNT, lambda o: o.skd.pairs, of=_SKD, per_phi=True, campaign=18, sweep=9),
+    Figure("discarded_by_distance", COUNT, lambda o: o.skd.discarded_by_distance, of=_SKD),
+    Figure("probability_bound", _each(ref("rate")), lambda o: o.bounds(),
+           "η (m) → Theorem 1's upper bound of P(distance ≤ η) by these kamikazes", _SKD),
+    Figure("probability_bound_ci95", _each(INTERVAL.schema), lambda o: o.bound_intervals(), of=_SKD),
+    Figure("kamikaze_success_rate", SHARE, lambda o: o.success_rate,
+           "success rate of the kamikazes whose SKD is reported", _SKD,
+           "of the trials of SKD collide", _LESS, **_RATE, bare=True,
            source="success_rate", clustered=True, summary=8, campaign=19, sweep=10, compare=20),
-    Figure("kamikaze_trials", COUNT, of=_SKD, source="trials"),
-    Figure("kamikaze_aborted", COUNT, of=_SKD, source="aborted"),
-    Figure("success_rate", SHARE, "share of the trials that reached what they planned for: a hit, or a collision",
-           _OBJECTIVE, better=_LESS, by_phi=True, independent="ci95_trials", clustered=True),
-    Figure("trials", COUNT, "kamikaze episodes, aborted ones left out", _OBJECTIVE),
-    Figure("failed", COUNT, of=_OBJECTIVE),
-    Figure("aborted", COUNT, of=_OBJECTIVE),
-    Figure("mean_impact_speed", SPEED, "m/s", _SKD, "mean impact speed of these", details=1),
-    Figure("mean_closing_speed", SPEED, "speed of the car relative to whom it touches, m/s", _SKD, "mean closing speed "
-           "of these", details=3),
-    Figure("standing_contacts", COUNT, "collisions with a car below 0.1 m/s", _OBJECTIVE),
-    Figure("aborted", COUNT, "episodes that were aborted, of all kinds", campaign=22),
-    Figure("aborted_reasons", _each(ref("aborted_reason"))),
-    Figure("commands_clipped", Kind(ref("commands_clipped"))),
-    Figure("simulator_contacts", Kind(ref("simulator_contacts")), "contacts by the shapes of a simulator that has its "
-           "own, beside those by SKD's geometry, which count", optional=True),
-    Figure("simulation", Kind({"type": "object"}), "what a simulator other than SKD's own world says of the car in "
-           "it, as the pedals of its vehicle, as it has measured them", told=Told.ASKED, optional=True),
-    Figure("command_age", Kind(or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
-           "command to its use, or from a state to its answer", told=Told.GRAPH),
-    Figure("nominal_collision_rate", SHARE, "share of the runs along φ that the moving car hit",
-           label="nominal collision rate", better=_LESS, by_phi=True,
-           summary=3, first=True, chart=2, difference=5, campaign=8, compare=12, junit=4),
-    Figure("contact_rate", SHARE, "share of the runs along φ that ended in a collision",
-           label="contact rate along φ, any touch", better=_LESS, by_phi=True, independent="ci95_runs", clustered=True,
-           summary=9, difference=6, campaign=14, sweep=11, compare=18, junit=9),
-    Figure("clustering", Kind(ref("clusterings"))),
-    Figure("clustering", Kind(ref("clusterings_of_objective")), of=_OBJECTIVE),
-    Figure("until_width", Kind(or_null(ref("until_width"))), told=Told.ASKED),
-    Figure("collision_runs", COUNT, "aborted ones left out"),
-    Figure("collision_standing_contacts", COUNT),
-    Figure("left_out", LINES, told=Told.ASKED),
-    Figure("warnings", LINES, told=Told.ASKED),
-    Figure("static_tests", _typed("array", items=ref("static_test")), "what came of the protocol's static tests, of "
-           "each impact place that one of the φ stands for", told=Told.TESTED, optional=True),
-    Figure("name", TEXT, of=Of.PHI),
-    Figure("trials", COUNT, "aborted ones included", Of.PHI),
-    Figure("failed", COUNT, of=Of.PHI),
-    Figure("aborted", COUNT, of=Of.PHI),
-    Figure("contact_rate", SHARE, of=Of.PHI_TOP),
-    Figure("collision_runs", COUNT, of=Of.PHI_TOP),
-    Figure("safe", FLAG, "whether φ is safe with this car: not hit in nearly all runs along it", Of.PHI_TOP),
-    Figure("distinct_safe_trajectories", COUNT, "how many φ differ from one another"),
-    Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory"))),
-    Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory_of_objective")), of=_OBJECTIVE),
+    Figure("kamikaze_trials", COUNT, lambda o: o.trials, of=_SKD, source="trials"),
+    Figure("kamikaze_aborted", COUNT, lambda o: len(o.reasons), of=_SKD, source="aborted"),
+    Figure("success_rate", SHARE, lambda o: o.success_rate,
+           "share of the trials that reached what they planned for: a hit, or a collision", _OBJECTIVE,
+           **_RATE, better=_LESS, clustered=True),
+    Figure("trials", COUNT, lambda o: o.trials, "kamikaze episodes, aborted ones left out", _OBJECTIVE),
+    Figure("failed", COUNT, lambda o: o.trials - o.successes, of=_OBJECTIVE),
+    Figure("aborted", COUNT, lambda o: len(o.reasons), of=_OBJECTIVE),
+    Figure("mean_impact_speed", SPEED, lambda o: o.mean_of(lambda log: log.impact_speed), "m/s", _SKD,
+           "mean impact speed of these", details=1),
+    Figure("mean_closing_speed", SPEED, lambda o: o.mean_of(closing_speed),
+           "speed of the car relative to whom it touches, m/s", _SKD, "mean closing speed of these", details=3),
+    Figure("standing_contacts", COUNT, lambda o: standing_contacts(o.collisions),
+           "collisions with a car below 0.1 m/s", _OBJECTIVE),
+    Figure("aborted", COUNT, lambda a: len(a.reasons), "episodes that were aborted, of all kinds", campaign=22),
+    Figure("aborted_reasons", _each(ref("aborted_reason")), lambda a: counted_reasons(a.reasons)),
+    Figure("commands_clipped", Kind(ref("commands_clipped")),
+           lambda a: {"commands": sum(a.clipped), "episodes": len(a.clipped)}),
+    Figure("simulator_contacts", Kind(ref("simulator_contacts")), lambda a: simulator_contacts(a.logs),
+           "contacts by the shapes of a simulator that has its own, beside those by SKD's geometry, which count",
+           optional=True),
+    Figure("simulation", Kind({"type": "object"}), lambda a: a.simulation and dict(a.simulation),
+           "what a simulator other than SKD's own world says of the car in it, as the pedals of its vehicle",
+           origin=Origin.REQUEST, optional=True),
+    Figure("command_age", Kind(or_null(ref("command_age"))), lambda a: command_age(a.logs),
+           "of episodes through the graph: wall time (s) from a command to its use, or from a state to its answer",
+           origin=Origin.GRAPH),
+    Figure("nominal_collision_rate", SHARE, lambda a: a.nominal_collision_rate,
+           "share of the runs along φ that the moving car hit", by_phi=lambda a: _interval(a.clustered_hit_rate),
+           label="nominal collision rate", better=_LESS, summary=3, first=True, chart=2, difference=5, campaign=8,
+           compare=12, junit=4),
+    Figure("contact_rate", SHARE, lambda a: a.contact_rate, "share of the runs along φ that ended in a collision",
+           by_phi=lambda a: _interval(a.clustered_contact_rate), independent="ci95_runs",
+           plain=lambda a: wilson_interval(a.collisions, a.completed_runs), label="contact rate along φ, any touch",
+           better=_LESS, clustered=True, summary=9, difference=6, campaign=14, sweep=11, compare=18, junit=9),
+    Figure("clustering", Kind(ref("clusterings")), lambda a: a.clustering()),
+    Figure("clustering", Kind(ref("clusterings_of_objective")), lambda o: o.clustering(), of=_OBJECTIVE),
+    Figure("until_width", Kind(or_null(ref("until_width"))), lambda a: a.until_width and a.until_width.as_dict(),
+           origin=Origin.REQUEST),
+    Figure("collision_runs", COUNT, lambda a: a.completed_runs, "aborted ones left out"),
+    Figure("collision_standing_contacts", COUNT, lambda a: standing_contacts(a.nominal_runs)),
+    Figure("left_out", LINES, lambda a: list(a.left_out), origin=Origin.REQUEST),
+    Figure("warnings", LINES, lambda a: list(a.warnings), origin=Origin.REQUEST),
+    Figure("static_tests", _typed("array", items=ref("static_test")), lambda a: list(a.static_tests),
+           "what came of the protocol's static tests, of each impact place that one of the φ stands for",
+           origin=Origin.TESTED, optional=True),
+    Figure("name", TEXT, None, of=Of.PHI),
+    Figure("trials", COUNT, None, "aborted ones included", Of.PHI),
+    Figure("failed", COUNT, None, of=Of.PHI),
+    Figure("aborted", COUNT, None, of=Of.PHI),
+    Figure("contact_rate", SHARE, None, of=Of.PHI_TOP),
+    Figure("collision_runs", COUNT, None, of=Of.PHI_TOP),
+    Figure("safe", FLAG, None, "whether φ is safe with this car: not hit in nearly all runs along it", Of.PHI_TOP),
+    Figure("distinct_safe_trajectories", COUNT, lambda a: len({one.positions.tobytes() for one in a.safe}),
+           "how many φ differ from one another"),
+    Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory")), lambda a: a.per_safe_trajectory()),
+    Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory_of_objective")),
+           lambda o: o.per_safe_trajectory(), of=_OBJECTIVE),
     Figure("objectives", _typed("object", minProperties=1, additionalProperties=ref("objective")),
-           "all figures of the kamikazes of each objective"),
-    Figure("surrogate_measures", Kind(ref("surrogate_measures")), "surrogate safety measures of the episodes: median "
-           "and worst; they are no rating"),
-    Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve")))),
-    Figure("seconds", Kind(ref("number"), "s"), "wall-clock time of the command, of a sweep of this car, s", _SETTING,
-           told=Told.ASKED, campaign=24),
-    Figure("seed", COUNT, of=_SETTING, compare=22, junit=10),
-    Figure("controller", TEXT, of=_SETTING, told=Told.ASKED),
-    Figure("multiplier", NUMBER, "C of the basic controller", _SETTING, told=Told.ASKED),
-    Figure("safe", TEXT, "where φ are from", _SETTING, told=Told.ASKED),
-    Figure("simulations", _typed("integer", minimum=1), of=_SETTING, told=Told.ASKED),
-    Figure("maximum_distance", LENGTH, "m", _SETTING),
-    Figure("knowledge", Kind({"enum": ["nothing", "learned", "known", "itself"]}), "what the adversary knows of the "
-           "car", _SETTING, told=Told.ASKED, compare=14, junit=6),
-    Figure("options", _typed("object"), "further options that were not as by default", _SETTING, told=Told.ASKED),
-    Figure("car_model", _typed("object", "null"), of=_SETTING, told=Told.ASKED),
-    Figure("scenario", _typed("object", required=["name", "time_step", "eta_max"]), "as in its YAML file", _SETTING,
-           told=Told.ASKED),
-    Figure("version", TEXT, "of SKD", _SETTING, told=Told.ASKED, compare=23, junit=11),
-    Figure("provenance", Kind(or_null(ref("provenance"))), of=_SETTING, told=Told.ASKED),
+           lambda a: a.objectives, "all figures of the kamikazes of each objective"),
+    Figure("surrogate_measures", Kind(ref("surrogate_measures")), lambda a: a.surrogates.as_dict(),
+           "surrogate safety measures of the episodes: median and worst; they are no rating"),
+    Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve"))),
+           lambda a: a.vulnerability and a.vulnerability.as_dict()),
+    Figure("seconds", Kind(ref("number"), "s"), lambda a: round(a.seconds, 3),
+           "wall-clock time of the command, of a sweep of this car, s", _SETTING, origin=Origin.REQUEST, campaign=24),
+    Figure("seed", COUNT, lambda a: a.plan.seed, of=_SETTING, compare=22, junit=10),
+    Figure("controller", TEXT, lambda a: a.plan.controller, of=_SETTING, origin=Origin.REQUEST),
+    Figure("multiplier", NUMBER, lambda a: a.plan.car.stated_multiplier, "C of the basic controller", _SETTING,
+           origin=Origin.REQUEST),
+    Figure("safe", TEXT, lambda a: a.plan.safe, "where φ are from", _SETTING, origin=Origin.REQUEST),
+    Figure("simulations", _typed("integer", minimum=1), lambda a: a.plan.simulations,
+           of=_SETTING, origin=Origin.REQUEST),
+    Figure("maximum_distance", LENGTH, lambda a: a.plan.maximum_distance, "m", _SETTING),
+    Figure("knowledge", Kind({"enum": ["nothing", "learned", "known", "itself"]}), lambda a: str(a.plan.knows),
+           "what the adversary knows of the car", _SETTING, origin=Origin.REQUEST, compare=14, junit=6),
+    Figure("options", _typed("object"), lambda a: further_options(a.plan),
+           "further options that were not as by default", _SETTING, origin=Origin.REQUEST),
+    Figure("car_model", _typed("object", "null"),
+           lambda a: json.loads(a.plan.car_model) if a.plan.car_model else None, of=_SETTING, origin=Origin.REQUEST),
+    Figure("scenario", _typed("object", required=["name", "time_step", "eta_max"]),
+           lambda a: a.plan.scenario.as_dict(), "as in its YAML file", _SETTING, origin=Origin.REQUEST),
+    Figure("version", TEXT, lambda _a: version(), "of SKD", _SETTING, origin=Origin.REQUEST, compare=23, junit=11),
+    Figure("provenance", Kind(or_null(ref("provenance"))), lambda a: a.stated_provenance(), of=_SETTING,
+           origin=Origin.REQUEST),
 )  # fmt: skip
 
 AT_THE_TOP = {one.key: one for one in FIGURES if one.of not in (Of.OBJECTIVE, Of.PHI, Of.PHI_TOP)}
@@ -348,16 +435,6 @@ OF_OBJECTIVES = {one.key: one for one in FIGURES if one.of in (Of.RANKING, Of.SK
 """Those that stand under each objective."""
 OF_PHI = {one.key: one for one in FIGURES if one.per_phi or one.of is Of.PHI}
 """Those that stand in the rows of each φ."""
-_KEYS = {key: one for one in AT_THE_TOP.values() for key in one.keys}
-
-
-def ordered(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of assessment.json in the order of the table.
-
-    Raises:
-        KeyError: a row is not there.
-    """
-    return {key: content[key] for key, one in _KEYS.items() if key in content or not one.optional}
 
 
 def keys_of(*of: Of) -> tuple[str, ...]:
@@ -365,10 +442,21 @@ def keys_of(*of: Of) -> tuple[str, ...]:
     return tuple(key for one in AT_THE_TOP.values() if one.of in of for key in one.keys)
 
 
-def taken(of: Of, figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what stands at the top of the figures of an objective."""
-    rows = [one for one in AT_THE_TOP.values() if one.of is of]
-    return {f"{one.key}{end}": figures[f"{one.source or one.key}{end}"] for one in rows for end in ("", *one.ends)}
+def entries(rows: Collection[Figure], subjects: Mapping[Of, Any]) -> dict[str, Any]:
+    """Return what stands under the keys of rows, in their order: null where there is no such subject.
+
+    Args:
+        rows: of the table.
+        subjects: what computes them, by whose they are; None: it is not known.
+    """
+    found = {key: value for one in rows for key, value in one.entries(subjects[one.of])}
+    empty = [one.key for one in rows if one.optional and not found[one.key]]
+    return {key: value for key, value in found.items() if key not in empty}
+
+
+def figures_of(of: Of, subject: Any) -> dict[str, Any]:
+    """Return the entries at the top that are computed of one subject, as of `Margins`."""
+    return entries([one for one in AT_THE_TOP.values() if one.of is of], {of: subject})
 
 
 def shown_in(output: str) -> list[Figure]:

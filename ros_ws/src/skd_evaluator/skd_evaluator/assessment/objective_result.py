@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,7 @@ from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.episode_figures import closing_speed
+from skd_evaluator.assessment.figure_table import OF_OBJECTIVES, Of, entries
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
 from skd_evaluator.metrics.deviation import MeanDeviation, mean_deviation
@@ -28,7 +28,6 @@ from skd_evaluator.metrics.measures import (
 from skd_evaluator.metrics.skd import SkdResult, kept_pairs, skd_of
 from skd_evaluator.metrics.statistics import (
     Interval,
-    wilson_interval,
 )
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
@@ -36,13 +35,6 @@ BOUND_ETAS = (0.25, 0.5, 1.0)
 _GAPS, _SPARSE = 1_000_000, 100
 """So many trials may be missing, and so many for each that is there: a folder may hold some of a campaign's bags."""
 CONFIDENCE = 0.95
-STANDING = 0.1
-"""m/s below which a car stands when it is touched: then it was walked into."""
-
-
-def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
-    """Return how many episodes ended with an adversary that walked into a standing car."""
-    return sum(log.outcome == Outcome.COLLISION and log.impact_speed < STANDING for log in logs)
 
 
 @dataclass(frozen=True)
@@ -171,49 +163,27 @@ class ObjectiveResult:
         }
         return {name: one and one.as_dict() for name, one in found.items()}
 
+    @property
+    def collisions(self) -> list[EpisodeLog]:
+        """Kamikaze episodes that collided."""
+        return [log for kamikaze in self.kamikaze for log in kamikaze.logs]
+
+    def mean_of(self, value: Callable[[EpisodeLog], float]) -> float | None:
+        """Return the mean of a number of each episode that collided; None without any."""
+        found = list(map(value, self.collisions))
+        return float(np.mean(found)) if found else None
+
     def figures(self) -> dict[str, Any]:
         """Return everything that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
-        skd, deviation = self.skd, self.deviation
-        success = self.clustered_success_rate
-        speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
-        closing = [closing_speed(log) for kamikaze in self.kamikaze for log in kamikaze.logs]
-        return {
-            "deviation": deviation.mean,
-            "deviation_ci95_trials": deviation.ci95,
-            "deviation_ci95": deviation.ci95_clustered,
-            "deviation_of_successes": deviation.of_successes,
-            "deviation_of_successes_ci95": deviation.of_successes_ci95,
-            "skd": skd.skd,
-            "skd_ci95_pairs": skd.skd_ci95_pairs,
-            "skd_ci95": skd.skd_ci95,
-            "skd_prefix": skd.skd_prefix,
-            "skd_prefix_ci95_pairs": skd.skd_prefix_ci95_pairs,
-            "skd_prefix_ci95": skd.prefix_clustered and skd.prefix_clustered.interval,
-            "variance": skd.variance,
-            "plans_deviation": self.plan.limits_deviation,
-            "pairs": skd.pairs,
-            "discarded_by_distance": skd.discarded_by_distance,
-            "probability_bound": self.bounds(),
-            "probability_bound_ci95": self.bound_intervals(),
-            "clustering": self.clustering(),
-            "measures": self._measures(),
-            "success_rate": self.success_rate,
-            "success_rate_ci95_trials": wilson_interval(self.successes, self.trials),
-            "success_rate_ci95": success and success.interval,
-            "trials": self.trials,
-            "failed": self.trials - self.successes,
-            "aborted": len(self.reasons),
-            "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
-            "mean_closing_speed": float(np.mean(closing)) if closing else None,
-            "standing_contacts": standing_contacts(log for kamikaze in self.kamikaze for log in kamikaze.logs),
-            "per_safe_trajectory": self._per_safe_trajectory(),
-        }
+        return entries(OF_OBJECTIVES.values(), dict.fromkeys(Of, self))
 
-    def _measures(self) -> dict[str, Any]:
+    def measure_figures(self) -> dict[str, Any]:
+        """Return the figures of the further measures, by name."""
         kept = [row.kept for row in self.skd.per_safe_trajectory]
         return {name: one.figures(kept, self.confidence) for name, one in self.measured.items()}
 
-    def _per_safe_trajectory(self) -> list[dict[str, Any]]:
+    def per_safe_trajectory(self) -> list[dict[str, Any]]:
+        """Return the figures of these kamikazes for each φ."""
         rows = zip(
             self.kamikaze,
             self.successes_by_phi,

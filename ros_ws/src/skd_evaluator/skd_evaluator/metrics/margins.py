@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
 from typing import Any
@@ -152,23 +152,14 @@ class Margins:
         """Trials in which nobody is hit within η_max, as far as was found."""
         return sum(hit is None for hits in self.hits for hit in hits)
 
-    def figures(self) -> dict[str, Any]:
-        """Return the entries of assessment.json."""
-        speeds, search = self.impact_speeds, self.search
-        return {
-            "margin": self.mean,
-            "margin_ci95": self.ci95,
-            "margin_p10": float(np.quantile(self.values, 0.1)),
-            "margin_converged": self.converged,
-            "margin_budget": search and search.budget,
-            "margin_excess": search and search.excess and asdict(search.excess),
-            "margin_sources": search and [dict(one) for one in search.sources],
-            "margin_gap": self.gap,
-            "margin_trials": int(self.values.size),
-            "margin_beyond": self.beyond,
-            "margin_how": "" if search is None else search.how,
-            "impact_speed": impact_figures(speeds),
-        }
+    def quantile(self, share: float) -> float:
+        """Return the margin that a share of the trials do not exceed, m."""
+        return float(np.quantile(self.values, share))
+
+    @property
+    def impact_speed(self) -> dict[str, float] | None:
+        """Mean and 90 % quantile of the impact speeds, m/s; None where nobody is hit."""
+        return impact_figures(self.impact_speeds)
 
 
 def stopped_at(figures: Mapping[str, Any]) -> str:

@@ -244,21 +244,22 @@ class Risks:
         """Return the risk at a scale; None where it was not asked for."""
         return next((one for one in self.scales if one.scale == scale), None)
 
-    def figures(self) -> dict[str, Any]:
-        """Return the entries of assessment.json."""
-        found: dict[str, Any] = {}
-        for scale in SCALES:
-            one = self.at(scale)
-            key = f"risk_{scale:g}"
-            found[key] = one and one.value
-            found[f"{key}_ci95_runs"] = one and one.ci95
-            found[f"{key}_ci95"] = one and one.ci95_by_phi
-        found["risk"] = {
-            "behaviour": dict(self.behaviour),
-            "scales": [one.as_dict() for one in self.scales],
-            "failures": self.failures,
-        }
-        return found
+    def value_at(self, scale: float) -> float | None:
+        """Return R at a scale; None where it is not known."""
+        return one.value if (one := self.at(scale)) else None
+
+    def interval_at(self, scale: float) -> Interval | None:
+        """Return the 95 % interval of it over φ."""
+        return one.ci95_by_phi if (one := self.at(scale)) else None
+
+    def plain_at(self, scale: float) -> Interval | None:
+        """Return the 95 % interval of the estimate, for these φ."""
+        return one.ci95 if (one := self.at(scale)) else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry `risk` of assessment.json."""
+        scales = [one.as_dict() for one in self.scales]
+        return {"behaviour": dict(self.behaviour), "scales": scales, "failures": self.failures}
 
 
 def crossings_lost(count: int) -> str:

@@ -228,7 +228,7 @@ def contact_warnings(figures: Mapping[str, Any]) -> list[str]:
         figures: content of assessment.json.
     """
     found = figures.get("simulator_contacts")
-    if found is None or not found["geometry_alone"] + found["simulator_alone"]:
+    if not found or not found["geometry_alone"] + found["simulator_alone"]:
         return []
     return [
         f"of {found['episodes']} episodes the car touched somebody by SKD's geometry alone in "

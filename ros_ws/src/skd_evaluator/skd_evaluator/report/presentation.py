@@ -14,6 +14,7 @@ from skd_sim.world.episode import EpisodeLog, Outcome, counted_reasons
 
 from skd_evaluator.assessment.assessment import Assessment, hit_too_often
 from skd_evaluator.assessment.episode_figures import collision_partner, simulator_contacts
+from skd_evaluator.assessment.figure_table import Of, figures_of
 from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
 from skd_evaluator.assessment.files.results import episode_summary, write_assessment
 from skd_evaluator.assessment.objective_result import ObjectiveResult
@@ -66,7 +67,7 @@ def figure_warnings(rating: Assessment, *, planned: bool = True) -> list[str]:
     if rating.clipped:
         low, high = _limits(rating)
         found.append(clipped_line(rating.clipped, low, high))
-    return found + contact_warnings(simulator_contacts([*rating.kamikaze_logs, *rating.nominal_runs]))
+    return found + contact_warnings({"simulator_contacts": simulator_contacts(rating.logs)})
 
 
 def _limits(rating: Assessment) -> tuple[float, float]:
@@ -95,10 +96,11 @@ def _warnings_of_margin(rating: Assessment) -> list[str]:
     if margins is None:
         return []
     touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
-    hit = sum(log.hit for log in rating.kamikaze_logs) + rating.hit_runs
+    hit = sum(log.hit for log in rating.logs)
     close, _ = rating.optimality_gap()
+    figures_of_margin = figures_of(Of.MARGIN, margins)
     scenario = rating.plan.scenario.as_dict()
-    return margin_warnings({**margins.figures(), "optimality_gap": close, "scenario": scenario}, touched, hit)
+    return margin_warnings({**figures_of_margin, "optimality_gap": close, "scenario": scenario}, touched, hit)
 
 
 def any_aborted(rating: Assessment) -> bool:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import json
 import math
-import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -211,15 +210,6 @@ def as_text(value: Any, indent: int = 0) -> str:
 
 
 ASSESSMENT = "assessment.json"
-_TYPES: dict[str, tuple[type, ...]] = {
-    "object": (dict,),
-    "array": (list,),
-    "string": (str,),
-    "number": (int, float),
-    "integer": (int,),
-    "boolean": (bool,),
-    "null": (type(None),),
-}
 
 
 def read_figures(folder: Path) -> dict[str, Any]:
@@ -253,61 +243,14 @@ def understood(path: Path) -> Iterator[None]:
 
 def fault_of(figures: Mapping[str, Any]) -> str:
     """Return which value is not as assessment.schema.json has it, in a few words; empty: all are."""
-    return _fault(figures, assessment_schema(), "")
+    from jsonschema import Draft202012Validator  # slow to import, and only what reads results needs it
+    from jsonschema.exceptions import best_match
 
-
-def _fault(value: Any, node: Mapping[str, Any], where: str) -> str:
-    if "$ref" in node:
-        found = _fault(value, assessment_schema()["$defs"][node["$ref"].rpartition("/")[2]], where)
-        if found:
-            return found
-    if "anyOf" in node:
-        faults = [_fault(value, branch, where) for branch in node["anyOf"]]
-        if all(faults):
-            return next((one for one in faults if "must be null" not in one), faults[0])
-    wanted = node.get("type", ())
-    wanted = (wanted,) if isinstance(wanted, str) else tuple(wanted)
-    if wanted and not any(_is(value, one) for one in wanted):
-        return f"{where or 'it'} must be {' or '.join(wanted)}, got {short(value)}"
-    return _fault_of_value(value, node, where) or _fault_inside(value, node, where)
-
-
-def _is(value: Any, name: str) -> bool:
-    if isinstance(value, bool):
-        return name == "boolean"
-    return isinstance(value, _TYPES[name])
-
-
-def _fault_of_value(value: Any, node: Mapping[str, Any], where: str) -> str:
-    if "const" in node and value != node["const"]:
-        return f"{where} must be {node['const']!r}, got {short(value)}"
-    if "enum" in node and value not in node["enum"]:
-        return f"{where} must be one of {', '.join(map(str, node['enum']))}, got {short(value)}"
-    if isinstance(value, str) and "pattern" in node and not re.search(node["pattern"], value):
-        return f"{where} is not as such a text has to be: {short(value)}"
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        if "minimum" in node and value < node["minimum"]:
-            return f"{where} must be at least {node['minimum']}, got {short(value)}"
-        if "exclusiveMinimum" in node and value <= node["exclusiveMinimum"]:
-            return f"{where} must be greater than {node['exclusiveMinimum']}, got {short(value)}"
-        if "maximum" in node and value > node["maximum"]:
-            return f"{where} must be at most {node['maximum']}, got {short(value)}"
-    if isinstance(value, list) and not node.get("minItems", 0) <= len(value) <= node.get("maxItems", len(value)):
-        return f"{where} has {len(value)} items, which it cannot"
-    return ""
-
-
-def _fault_inside(value: Any, node: Mapping[str, Any], where: str) -> str:
-    parts: list[tuple[str, Any, Any]] = []
-    if isinstance(value, dict):
-        known, others = node.get("properties", {}), node.get("additionalProperties")
-        if lacking := next((name for name in node.get("required", ()) if name not in value), ""):
-            return f"{where or 'it'} has no {lacking}"
-        parts = [(f"{where}.{short(key)[1:-1]}", one, known.get(key, others)) for key, one in value.items()]
-    elif isinstance(value, list):
-        parts = [(f"{where}.{place}", one, node.get("items")) for place, one in enumerate(value)]
-    inside = (_fault(one, schema, path.lstrip(".")) for path, one, schema in parts if isinstance(schema, Mapping))
-    return next(filter(None, inside), "")
+    error = best_match(Draft202012Validator(assessment_schema()).iter_errors(figures))
+    if error is None:
+        return ""
+    where, said = ".".join(map(str, error.absolute_path)), " ".join(error.message.split())[:160]
+    return f"{where}: {said}" if where else said
 
 
 _ANY = "*"

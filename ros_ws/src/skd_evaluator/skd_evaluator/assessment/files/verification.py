@@ -22,7 +22,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, Told
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, Origin
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures
 from skd_evaluator.assessment.files.result_folder import MANIFEST, Held, hold, read_manifest
@@ -253,7 +253,7 @@ def verify(folder: Path) -> Verified:
 
 def _follows(name: str) -> bool:
     """Return whether an entry at the top of assessment.json follows from the episodes beside it."""
-    return name in AT_THE_TOP and AT_THE_TOP[name].told is Told.EPISODES
+    return name in AT_THE_TOP and AT_THE_TOP[name].origin is Origin.EPISODES
 
 
 def _not_from_episodes(figures: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
@@ -261,7 +261,7 @@ def _not_from_episodes(figures: Mapping[str, Any]) -> dict[str, tuple[str, ...]]
     reasons: dict[str, list[str]] = {}
     for name in figures:
         if name in AT_THE_TOP and not _follows(name):
-            reasons.setdefault(str(AT_THE_TOP[name].told), []).append(name)
+            reasons.setdefault(str(AT_THE_TOP[name].origin), []).append(name)
     return {reason: tuple(names) for reason, names in reasons.items()}
 
 
