@@ -205,7 +205,7 @@ class Assessment:
         return clustered_rate(self.hits(), self.confidence)
 
     @property
-    def clustered_hit_rate(self) -> Clustered | None:
+    def clustered_nominal_rate(self) -> Clustered | None:
         """The nominal collision rate with what its error over φ is."""
         return clustered_rate(self._per_phi(lambda log: log.hit), self.confidence)
 
