@@ -74,7 +74,7 @@ def test_a_car_that_does_not_repeat_its_hits_is_left_as_it_was(results):
     first, _, lines = on_common_trajectories(changed, results["shallow"], quiet)
     assert first is changed
     assert lines[0].startswith(f"{deep.folder}: not tried on the trajectories")
-    assert lines[0].endswith("it is another car now")
+    assert lines[0].endswith("its code has changed, or it does not repeat itself")
 
 
 def test_exact_margins_stay(results):

@@ -272,6 +272,7 @@ def test_nearly_all_runs_have_to_be_such_and_aborted_ones_say_nothing() -> None:
 
 
 CARS = """
+import random
 import numpy as np
 
 class Honest:
@@ -293,6 +294,23 @@ class Counting(Honest):
         Counting.episodes += 1
     def command(self, car, adversary):
         return -6.0 if Counting.episodes % 2 else 0.0
+
+class Shared(Honest):
+    "Stands in some episodes, which generators of the whole process choose."
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        self.stands = random.random() + np.random.random() < 1.0
+    def command(self, car, adversary):
+        return -6.0 if self.stands else 0.0
+
+class Seeded(Honest):
+    "Draws from them too, and its reset seeds them: each episode follows from its reset."
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        random.seed(0)
+        np.random.seed(0)
+    def command(self, car, adversary):
+        return super().command(car, adversary) + 0.1 * random.random() + 0.1 * np.random.random()
 
 class Stands(Honest):
     def command(self, car, adversary):
@@ -317,6 +335,8 @@ SMALL = (
     [
         ("Honest", []),
         ("Counting", ["episodes went differently when they were run again"]),
+        ("Shared", ["draws from the process-wide random and numpy.random"]),
+        ("Seeded", []),
         ("Stands", ["with nobody near, some_cars:Stands slows from"]),
     ],
 )

@@ -115,7 +115,9 @@ def _margins(result: StoredResult, ways: Ways, hits: Sequence[OtherHit], progres
         logs = list(runner.run(driven))
         again = sum(map(_repeats, stored, logs))
         if again < len(logs):
-            raise AssessmentError(f"of its {len(logs)} hits {again} come again: it is another car now")
+            raise AssessmentError(
+                f"of its {len(logs)} hits {again} come again: its code has changed, or it does not repeat itself"
+            )
         known = {log.episode.episode_id: log for log in logs}
         found = margins_with_other_hits(
             [one for row in trials for one in row], known, hits, in_processes(runner, progress)

@@ -16,7 +16,6 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, read_json
-from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment import figure_table as table
 from skd_evaluator.assessment.figure_table import (
