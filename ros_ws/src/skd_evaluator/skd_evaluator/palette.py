@@ -21,8 +21,6 @@ KAMIKAZE: Final = VERMILLION
 """ψ."""
 MARGIN: Final = GREEN
 """Ways of the margin, which nobody planned: the least that would have been enough. Drawn dashed beside ψ."""
-ALONG: Final = GREEN
-"""Runs along φ, in which nobody planned."""
 ALERT: Final = "#A33B00"
 """Of words that must not be missed: a darker vermillion, which can be read on white."""
 BELIEF: Final = PURPLE
@@ -39,17 +37,15 @@ SERIES: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 """Of several cars or kinds of φ in one picture, in this order."""
 DASHES: Final = ((), (6, 2), (2, 2), (8, 2, 2, 2), (4, 1, 1, 1), (1, 2))
 """Their line styles, as lengths of strokes and gaps."""
-MARKERS: Final = ("o", "s", "^", "D", "v", "P")
-"""Their markers, as matplotlib calls them."""
 SHAPES: Final = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
-"""The same, as Vega calls them."""
+"""Their markers, as Vega calls them."""
 
 _IN_TURN: Final = 3
 _ORDER: Final = ((213, 94, 0), (230, 159, 0), (86, 180, 233), (0, 114, 178))
 
 
 def ordered(count: int) -> list[str]:
-    """Return colours for things in an order, as cars from the most vulnerable to the safest: vermillion to blue.
+    """Return colours for things in an order, as cars by their C: vermillion to blue.
 
     Red-green blindness does not touch the axis from orange to blue, so that the order is seen by everybody.
     """
@@ -63,6 +59,11 @@ def ordered(count: int) -> list[str]:
         mixed = (round(a + share * (b - a)) for a, b in zip(_ORDER[low], _ORDER[low + 1], strict=True))
         found.append("#" + "".join(f"{channel:02X}" for channel in mixed))
     return found
+
+
+def of_cars(count: int) -> list[str]:
+    """Return the colour of each of several cars, in the order in which they were given: the same in every picture."""
+    return list(SERIES[:count]) if count <= len(SERIES) else ordered(count)
 
 
 def in_turn(count: int) -> list[tuple[int, ...]]:

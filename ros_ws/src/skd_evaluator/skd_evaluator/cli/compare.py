@@ -22,7 +22,7 @@ from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.report.charts import alike, rated_car
+from skd_evaluator.report.charts import alike
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
 from skd_evaluator.report.terminal import car_name, print_table
@@ -39,8 +39,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     names = labels(results)
-    rated = [rated_car(result.figures, name) for result, name in zip(results, names, strict=True)]
-    cars = [one for one in rated if one is not None]
     out = result_folder(arguments)
     rows = [
         {
@@ -86,16 +84,17 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         write_json(folder / "comparison.json", content)
         if not arguments.pictures:
             return
-        from skd_evaluator.report.charts import save_rating, save_vulnerability, shown_curve
+        from skd_evaluator.report.charts import ChartedCar, coloured, has_risks, save_rating, save_vulnerability
 
-        shown = [
-            shown_curve(result.figures, _curves(result, margins=ranked_by == MARGIN), name)
-            for result, name in zip(results, names, strict=True)
-            if ranked_by is not None
-        ]
-        if shown:  # curves of unlike kind say nothing beside each other
-            save_vulnerability(folder / "vulnerability.png", shown)
-        if ranked_by == MARGIN and len(cars) == len(results) and all(_one_scale(results[0], one) for one in results):
+        cars = coloured(
+            [
+                ChartedCar(name, result.figures, curves=_curves(result, margins=ranked_by == MARGIN))
+                for result, name in zip(results, names, strict=True)
+            ]
+        )
+        if ranked_by is not None:  # curves of unlike kind say nothing beside each other
+            save_vulnerability(folder / "vulnerability.png", cars)
+        if ranked_by == MARGIN and all(has_risks(one.figures) and _one_scale(results[0], one) for one in results):
             save_rating(folder / "rating.png", cars)
 
     read = is_read(show)  # before the pictures, which take longer than the figures

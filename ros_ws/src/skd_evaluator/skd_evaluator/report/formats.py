@@ -266,7 +266,7 @@ class KeptFailure:
     @property
     def likely(self) -> str:
         """How likely such deviations are, in words."""
-        return f"{how_many(self.people)} deviate as much or more"
+        return f"{how_many(self.people)} differ more from the average"
 
 
 def how_many(people: float) -> str:

@@ -23,6 +23,7 @@ from skd_evaluator.metrics import aborted
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.report.formats import contact_warnings, margin_warnings
+from skd_evaluator.report.terminal import car_name
 
 
 def undefined(rating: Assessment) -> str | None:
@@ -197,9 +198,11 @@ def fill(folder: Path, rating: Assessment, *, may_fork: bool = False) -> None:
         drawn = stack.enter_context(in_background(draw)) if forks else lambda: False
         write_assessment(folder, rating)
         if rating.vulnerability is not None:  # in this process: one that is forked from a user of Vega's waits for ever
-            from skd_evaluator.report.charts import save_vulnerability, shown_curve
+            from skd_evaluator.report.charts import ChartedCar, save_vulnerability
 
-            save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
+            figures = rating.as_dict()
+            car = ChartedCar(car_name(figures), figures, curves=figures["vulnerability_curve"])
+            save_vulnerability(folder / "vulnerability.png", [car])
         if not drawn():
             draw()
 

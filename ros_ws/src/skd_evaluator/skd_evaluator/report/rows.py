@@ -80,7 +80,6 @@ def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
                 {
                     "place": place,
                     "phi": names[where["safe_trajectory"]],
-                    "deviation": number(one.deviation, 1),
                     "likely": one.likely,
                     "speed": number(where["impact_speed"], 1, "m/s"),
                 }

@@ -22,6 +22,8 @@ from skd_evaluator.report.formats import (
     margin_warnings,
     number,
     percent,
+    surrogate_groups,
+    surrogate_rows,
 )
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
@@ -47,7 +49,8 @@ def sentences_of(subject: Subject) -> list[str]:
         aborted = figures["aborted"]
         why = f"{counted(aborted, 'episode')} were aborted" if aborted else "no trial ran"
         return [f"This is no rating: no kamikaze ran to its end ({why}). It says nothing about the car."]
-    first = headline(figures)
+    first = headline(figures).removeprefix(f"{car_name(figures)}: ")  # which stands above
+    first = first[:1].upper() + first[1:]
     if figures["deviation"] is None:
         return [first, "No planned kamikaze ran to its end."]
     knowledge = figures.get("knowledge")
@@ -177,16 +180,22 @@ def per_safe_rows(subject: Subject) -> list[dict[str, str | bool]]:
             "name": str(row["name"]),
             "safe": bool(row["safe"]),
             "margin": number(mean(margins) if margins.size else None),
-            "contact_rate": percent(row["contact_rate"]),
-            "collision_runs": str(row["collision_runs"]),
+            "contact_rate": f"{percent(row['contact_rate'])} of {row['collision_runs']}",
             "deviation": number(row["deviation"]),
-            "trials": f"{mine['failed']} of {mine['trials'] - mine['aborted']}",
-            "aborted": str(mine["aborted"]),
+            "trials": f"{mine['failed']} of {mine['trials'] - mine['aborted']}"
+            + (f", {mine['aborted']} aborted" if mine["aborted"] else ""),
             "skd": number(row["skd"]),
-            "skd_prefix": number(row["skd_prefix"]),
-            "pairs": str(row["pairs"]),
         }
         for row, mine, margins in rows
+    ]
+
+
+def surrogate_cells(figures: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
+    """Return each surrogate measure, and for each group of episodes its median, the worst, and where it is defined."""
+    count = len(surrogate_groups(figures))
+    return [
+        (name, ["; ".join(texts[3 * place : 3 * place + 3]) for place in range(count)])
+        for name, texts in surrogate_rows(figures)
     ]
 
 

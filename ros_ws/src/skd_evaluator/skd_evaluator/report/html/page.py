@@ -11,18 +11,17 @@ from shlex import join
 from typing import Any
 
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.episode import Mode
 
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
-from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.charts import (
     against_multiplier,
     chart_library,
+    charted,
     comparison_charts,
-    per_safe_chart,
     rating_charts,
     vulnerability_charts,
 )
@@ -32,11 +31,9 @@ from skd_evaluator.report.formats import (
     failures_sentence,
     kept_failures,
     surrogate_groups,
-    surrogate_rows,
 )
 from skd_evaluator.report.html import figures
-from skd_evaluator.report.html.episodes import episode_columns, margin_hits, objective_names, pack, scene, worst_first
-from skd_evaluator.report.html.figures import by_scenario, matrix_of
+from skd_evaluator.report.html.episodes import episode_data, margin_hits, pack, scene, worst_first
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import SECTIONS, filled
 from skd_evaluator.report.repeat import (
@@ -53,67 +50,75 @@ from skd_evaluator.version import version
 
 LARGEST = 5_000_000
 """Bytes of a page."""
-_WAYS_SHARE = 0.97  # of the positions that would fill the page to the last byte
-_WAYS_OF_A_PHI, _WAYS_OF_MARGINS = 40, 4000
+_TRAJECTORIES_OF_A_PHI, _TRAJECTORIES = 40, 4000
 """Most margin trajectories that are in the page, of one φ and of all."""
-_SCRIPTS = ("data.js", "scene.js", "charts.js", "detail.js", "player.js", "table.js", "main.js")
-_OUTCOMES = {
-    Outcome.COLLISION: "touched", Outcome.ARRIVED: "arrived", Outcome.MISSED: "missed", Outcome.TIMEOUT: "time was up",
-    Outcome.ABORTED: "aborted", Outcome.RUNNING: "not ended",
-}  # fmt: skip
+_SCRIPTS = ("data.js", "scene.js", "charts.js", "maps.js", "player.js", "table.js", "main.js")
 
 
 def render(subjects: Sequence[Subject]) -> str:
-    """Return the page, in at most `LARGEST` bytes: where need be without the positions of the best episodes.
+    """Return the page, in at most `LARGEST` bytes: where need be without the paths of the best episodes.
 
     Raises:
-        AssessmentError: it would be larger even without any positions.
+        AssessmentError: it would be larger even without any path.
     """
-    order = worst_first(subjects)
-    ways = len(order)
-    for _ in range(4):
-        page = _render(subjects, order, ways)
-        size = len(page.encode())
-        if size <= LARGEST:
-            return page
-        bare = len(_render(subjects, order, 0).encode())
-        if bare > LARGEST:
-            break
-        ways = int(_WAYS_SHARE * ways * (LARGEST - bare) / (size - bare))
-    raise AssessmentError(
-        f"a page of {len(order):,} episodes would be larger than {LARGEST / 1e6:g} MB; report fewer folders at a time"
+    curves, ratings, comparisons = (
+        vulnerability_charts(charted(subjects)),
+        rating_charts(subjects),
+        comparison_charts(subjects),
     )
+    page = _page(subjects, [heading for heading, _ in curves], [heading for heading, _ in ratings], len(comparisons))
+    content = _content(subjects)
+    content["charts"] = {
+        "curves": [spec for _, spec in curves],
+        "comparisons": comparisons,
+        "ratings": [one for _, charts in ratings for one in charts],
+    }
+    kept = len(content["episodes"])
+    while True:
+        block = pack(content)
+        if len(page.encode()) + len(block) <= LARGEST:
+            return page.replace(_BLOCK, _BLOCK.replace("><", f">{block}<"))
+        if not kept:
+            raise AssessmentError(
+                f"a page of {len(content['episodes']):,} episodes would be larger than {LARGEST / 1e6:g} MB; "
+                "report fewer folders at a time"
+            )
+        kept = int(0.8 * kept)
+        for one in content["episodes"][kept:]:
+            one["path"] = one["belief"] = None
 
 
-def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways: int) -> str:
-    block = pack({**_content(subjects), "listed": len(order)}, episode_columns(subjects, order, ways))
+_BLOCK = '<script type="text/plain" id="data"></script>'
+
+
+def _page(subjects: Sequence[Subject], curves: Sequence[str], ratings: Sequence[str], comparisons: int) -> str:
+    """Return the page without its data: with the headings of its curves and ratings, and so many comparisons."""
     views = [_view(one) for one in subjects]
-    script, library, style = _joined(_SCRIPTS), chart_library(), _template("style.css")
+    for view, colour in zip(views, palette.of_cars(len(views)), strict=True):
+        view["colour"] = colour
+    script, library = _joined(_SCRIPTS), chart_library()
     return filled(
         "skd_evaluator.report.html",
         "report.html.j2",
         subjects=views,
-        listed=[views[place] for place in by_scenario(subjects)],
-        matrix=matrix_of(subjects),
+        listed=[views[place] for place in figures.by_scenario(subjects)],
+        matrix=figures.matrix_of(subjects),
         notes=figures.ranking_notes(subjects),
         sections=[section for name in SECTIONS.registered() if (section := SECTIONS.find(name)(subjects))],
-        curves=[heading for heading, _ in vulnerability_charts(subjects)],
-        comparisons=len(comparison_charts(subjects)),
-        ratings=[heading for heading, _ in rating_charts(subjects)],
+        curves=curves,
+        comparisons=comparisons,
+        ratings=ratings,
         scales=len(SCALES),
         against=against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
-        by_phi=any(one.figures["nominal_collision_rate_ci95"] for one in subjects),
         of_margins=any(one.figures["margin"] is not None for one in subjects),
         hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
         gap_warning=GAP_WARNING,
-        style=style,
+        style=_template("style.css"),
         no_rating=NO_RATING,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
-        block=block,
-        episodes=len(order),
-        ways=min(ways, len(order)),
+        episodes=sum(len(one.episodes) for one in subjects),
         version=version(),
         palette=palette,
         scenario_file=SCENARIO_FILE,
@@ -126,22 +131,21 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
 
 def _view(subject: Subject) -> dict[str, Any]:
     """Return what the template says of a subject."""
-    model = subject.figures["car_model"]
+    model, risky = subject.figures["car_model"], bool(failures_in(subject.figures))
     return {
         "label": subject.label,
         "state": figures.state_of(subject),
         "sentences": figures.sentences_of(subject),
         "rows": figure_rows(subject.figures),
         "bounds": bounds_of(subject.curve),
-        "has_margin": subject.figures["margin"] is not None,
         "failures": failure_rows(subject.figures),
         "failures_sentence": failures_sentence(subject.figures),
-        "behaviour": subject.figures["risk"]["behaviour"]["name"] if failures_in(subject.figures) else "",
-        "behaviour_link": ""
-        if not failures_in(subject.figures) or behaviour_name(subject.figures)
-        else _link(subject.figures["risk"]["behaviour"]),
+        "behaviour": subject.figures["risk"]["behaviour"]["name"] if risky else "",
+        "behaviour_link": _link(subject.figures["risk"]["behaviour"])
+        if risky and not behaviour_name(subject.figures)
+        else "",
         "per_safe": figures.per_safe_rows(subject),
-        "surrogates": surrogate_rows(subject.figures),
+        "surrogates": figures.surrogate_cells(subject.figures),
         "walkers": [name for name, _ in surrogate_groups(subject.figures)],
         "same_safe": figures.same_safe(subject),
         "warnings": figures.warnings_of(subject),
@@ -162,53 +166,38 @@ def _link(data: Mapping[str, Any]) -> str:
 
 
 def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
-    """Return what the page's script knows beside the episodes."""
-    objectives = objective_names(subjects)
-    shown = max(1, min(_WAYS_OF_A_PHI, _WAYS_OF_MARGINS // max(1, sum(len(one.episodes.safe) for one in subjects))))
+    """Return what the page's script reads."""
+    phis = sum(len(one.episodes.safe) for one in subjects)
+    most = max(1, min(_TRAJECTORIES_OF_A_PHI, _TRAJECTORIES // max(1, phis)))
     return {
-        "subjects": [
-            {
-                "label": one.label,
-                "scene": scene(one),
-                "ranking": objectives.index(one.ranking_objective),
-                "skd": objectives.index(one.skd_objective),
-                "perSafe": [
-                    {
-                        "margin": mean(margins) if margins.size else None,
-                        "deviation": ranked["deviation_of_successes"],
-                        "skd": row["skd"],
-                    }
-                    for row, ranked, margins in zip(
-                        one.figures["per_safe_trajectory"],
-                        one.ranking["per_safe_trajectory"],
-                        one.margins,
-                        strict=True,
-                    )
-                ],
-                "etaMax": one.figures["eta_max"],
-                "margins": [[round(value, 3) for value in margins.tolist()] for margins in one.margins],
-                "ways": margin_hits(one, shown),
-                "repeatFailure": join(crossing_prefix(one.figures)) if failures_in(one.figures) else "",
-                "failures": [f"{failure.text}, {failure.likely}" for failure in kept_failures(one.figures)],
-                "repeat": {name: _prefix(one, name) for name in ("", *one.figures["objectives"])},
-            }
-            for one in subjects
+        "subjects": [_subject(index, one, most) for index, one in enumerate(subjects)],
+        "episodes": [
+            episode_data(index, subjects[index], subjects[index].episodes, number)
+            for index, number in worst_first(subjects)
         ],
-        "objectives": objectives,
-        "outcomes": {str(int(outcome)): text for outcome, text in _OUTCOMES.items()},
-        "collision": int(Outcome.COLLISION),
-        "hitText": "hit",
-        "charts": {
-            "curves": [spec for _, spec in vulnerability_charts(subjects)],
-            "comparisons": comparison_charts(subjects),
-            "perSafe": per_safe_chart(),
-            "ratings": [one for _, charts in rating_charts(subjects) for one in charts],
-        },
     }
 
 
-def _prefix(subject: Subject, objective: str) -> str:
-    return join(repeat_prefix(subject.figures, Mode.KAMIKAZE if objective else Mode.REPLAY, objective))
+def _subject(index: int, subject: Subject, most: int) -> dict[str, Any]:
+    kept = kept_failures(subject.figures)
+    failures = [
+        {**episode_data(index, subject, subject.failing, number), "failure": f"{one.text}; {one.likely}"}
+        for number, one in enumerate(kept)
+    ]
+    return {
+        "label": subject.label,
+        "scene": scene(subject),
+        "ranking": subject.ranking_objective,
+        "etaMax": subject.figures["eta_max"],
+        "margins": [[round(value, 3) for value in margins.tolist()] for margins in subject.margins],
+        "least": margin_hits(subject, most),
+        "failures": failures,
+        "repeatFailure": join(crossing_prefix(subject.figures)) if kept else "",
+        "repeat": {
+            name: join(repeat_prefix(subject.figures, Mode.KAMIKAZE if name else Mode.REPLAY, name))
+            for name in ("", *subject.figures["objectives"])
+        },
+    }
 
 
 def _template(name: str) -> str:

@@ -22,17 +22,13 @@ function fitPaper() {
   for (const [target, view] of views) view.signal("width", target.closest(".three") ? SHEET / 2 - 60 : SHEET - 60).run();
 }
 
-async function draw(target, spec) {
-  const width = target.clientWidth || 600;
-  const columns = Math.max(1, Math.floor(width / 260));
-  const config = { ...THEME, legend: { ...THEME.legend, columns } };
-  // `ast`: expressions are interpreted, so that the page needs no right to make code of texts.
-  const { view } = await window.vegaEmbed(target, spec, { actions: false, renderer: "svg", ast: true, config, tooltip: { theme: "custom" }, defaultStyle: false });
-  views.set(target, view);
-}
-
-async function drawAll(episodes) {
+async function drawAll(charts) {
   for (const target of document.querySelectorAll(".chart[data-chart]")) {
-    await draw(target, episodes.charts[target.dataset.chart][Number(target.dataset.index)]);
+    const spec = charts[target.dataset.chart][Number(target.dataset.index)];
+    const columns = Math.max(1, Math.floor((target.clientWidth || 600) / 260));
+    const config = { ...THEME, legend: { ...THEME.legend, columns } };
+    // `ast`: expressions are interpreted, so that the page needs no right to make code of texts.
+    const { view } = await window.vegaEmbed(target, spec, { actions: false, renderer: "svg", ast: true, config, tooltip: { theme: "custom" }, defaultStyle: false });
+    views.set(target, view);
   }
 }

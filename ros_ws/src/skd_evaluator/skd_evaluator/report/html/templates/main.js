@@ -6,30 +6,30 @@ function reveal(element) {
 
 // Puts the parts together; says what a browser lacks instead of staying empty.
 async function main() {
-  const episodes = await unpack(document.getElementById("data").textContent);
-  const detail = new Detail(episodes);
+  const data = await unpack(document.getElementById("data").textContent);
+  const maps = new Maps(data);
   const chooser = document.getElementById("subject");
-  if (chooser) chooser.addEventListener("change", () => detail.show(Number(chooser.value)));
-  await drawAll(episodes);
-  await detail.show(0);
-  if (episodes.count) {
-    const player = new Player(episodes, (by) => {
-      const next = player.k + by;
-      if (!episodes.isFailure(player.k)) table.step(by);
-      else if (episodes.isFailure(next) && next < episodes.total) player.load(next);
+  if (chooser) chooser.addEventListener("change", () => maps.show(Number(chooser.value)));
+  maps.show(0);
+  if (data.episodes.length) {
+    const player = new Player(data, (by) => {
+      const { failure, owner, number } = player.episode;
+      if (failure === undefined) table.step(by);
+      else if (owner.failures[number + by]) player.load(owner.failures[number + by]);
     });
-    const table = new Table(episodes, (k) => player.load(k));
-    table.choose(0);
+    const table = new Table(data, (episode) => player.load(episode));
+    table.choose(data.episodes[0]);
     for (const button of document.querySelectorAll("button[data-failure]")) {
       button.addEventListener("click", () => {
-        player.load(episodes.failure(Number(button.dataset.subject), Number(button.dataset.failure)));
+        player.load(data.subjects[Number(button.dataset.subject)].failures[Number(button.dataset.failure)]);
         reveal(document.getElementById("player"));
         player.start();
       });
     }
   } else {
-    for (const one of document.querySelectorAll("#episodes .js")) one.hidden = true;
+    for (const one of document.querySelectorAll("#trial, #episodes .js")) one.hidden = true;
   }
+  await drawAll(data.charts);
   const closed = [];
   window.addEventListener("beforeprint", () => {
     fitPaper();

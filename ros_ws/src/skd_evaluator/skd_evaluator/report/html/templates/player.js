@@ -6,67 +6,66 @@ const MOST = 10; // s, m/s²: longer times to collision and what no tyres have a
 const CHART = { width: 620, height: 240, left: 44, right: 10, top: 34, bottom: 34 };
 
 class Player {
-  constructor(episodes, step) {
-    this.episodes = episodes;
-    for (const id of ["view", "distances", "surrogates", "state", "time", "clock", "play", "playing", "command", "copy", "previous", "next"]) this[id] = document.getElementById(id);
+  constructor(data, step) {
+    this.data = data;
+    for (const id of ["view", "distances", "surrogates", "state", "time", "clock", "play", "playing", "place", "command", "copy", "previous", "next"]) this[id] = document.getElementById(id);
     this.time.addEventListener("input", () => { this.stop(); this.set(Number(this.time.value)); });
     this.play.addEventListener("click", () => (this.timer ? this.stop() : this.start()));
     this.previous.addEventListener("click", () => step(-1));
     this.next.addEventListener("click", () => step(1));
     this.copy.addEventListener("click", () => copyText(this.command.textContent, this.copy));
+    document.getElementById("charts").addEventListener("toggle", () => { if (this.course) this.drawCharts(); });
   }
 
-  load(k) {
+  load(episode) {
     this.stop();
-    this.k = k;
-    const { episodes } = this;
-    const figures = episodes.touched(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deviation ${fixed(episodes.columns.deviation[k], 3)} m` : "";
-    this.playing.textContent = `${episodes.subject(k).label}: ${episodes.phi(k).name}, ${episodes.adversary(k)}, ${episodes.outcome(k)}${figures}`;
-    this.command.textContent = episodes.command(k);
-    this.way = episodes.way(k);
-    const there = this.way !== null;
-    const believes = there && this.way.belief !== null;
+    this.episode = episode;
+    this.course = episode.course;
+    const several = this.data.subjects.length > 1 ? `${episode.owner.label}: ` : "";
+    const worst = episode.number === 0 && episode.failure === undefined ? "The worst episode: " : "";
+    this.playing.textContent = `${worst}${several}${episode.safe.name}, ${episode.name}, ${episode.outcome}`;
+    this.place.textContent = where(episode, this.course);
+    this.command.textContent = episode.command;
+    const there = this.course !== null;
+    const believes = there && this.course.belief !== null;
     for (const one of document.querySelectorAll(".of-belief")) one.hidden = !believes;
-    for (const one of document.querySelectorAll(".of-no-belief")) one.hidden = believes || !there || !episodes.plans(k);
     for (const control of [this.time, this.play]) control.disabled = !there;
+    drawHits(this.data, episode);
     if (!there) {
       this.view.replaceChildren(html("p", { className: "note", textContent: "The trajectory of this episode is not in this file; episodes.npz of the result folder has it." }));
-      this.distances.replaceChildren();
-      this.surrogates.replaceChildren();
+      for (const one of [this.distances, this.surrogates]) one.replaceChildren();
       [this.state.textContent, this.clock.textContent] = ["", ""];
       return;
     }
-    this.time.max = this.way.times.at(-1);
+    this.time.max = this.course.times.at(-1);
     this.drawScene();
     this.drawCharts();
-    this.set(this.way.times.at(-1));
+    this.set(this.course.times.at(-1));
   }
 
   drawScene() {
-    const { way, episodes } = this;
-    const { scene } = episodes.subject(this.k);
-    const phi = episodes.phi(this.k);
-    const reach = Math.max(scene.car.front, scene.car.rear);
-    const cars = way.carX.map((x, i) => [x, way.carY[i]]);
-    const area = bounds([...phi.points, ...way.x.map((x, i) => [x, way.y[i]]), ...cars.flatMap(([x, y]) => [[x, y - reach], [x, y + scene.car.front]])], 0.6);
+    const { course, episode } = this;
+    const { scene } = episode.owner, { points } = episode.safe;
+    const cars = course.carX.map((x, i) => [x, course.carY[i]]);
+    const area = bounds([...points, ...course.x.map((x, i) => [x, course.y[i]]), ...cars.flatMap(([x, y]) => [[x, y - scene.car.rear], [x, y + scene.car.front]])], 0.6);
     area[0] = Math.min(area[0], -3.5);
     area[2] = Math.max(area[2], 3.5) + 0.8; // room for the scale
     const turned = area[3] - area[1] > area[2] - area[0];
     const picture = (this.picture = new Picture(area, scene, "The episode seen from above", turned));
     picture.road();
-    picture.line(way.carX, way.carY, "ghost");
-    picture.line(phi.points.map((p) => p[0]), phi.points.map((p) => p[1]), "phi");
-    for (const [x, y] of phi.points) picture.disc(x, y, 0.09, "dot");
-    picture.line(way.x, way.y, "psi bold");
-    way.x.forEach((x, i) => picture.disc(x, way.y[i], 0.12, "touch standing"));
-    picture.car(way.carX[0], way.carY[0], way.heading[0], "ghost");
+    picture.line(course.carX, course.carY, "ghost");
+    picture.line(points.map((p) => p[0]), points.map((p) => p[1]), "phi");
+    for (const [x, y] of points) picture.disc(x, y, 0.09, "dot");
+    picture.line(course.x, course.y, "psi bold");
+    course.x.forEach((x, i) => picture.disc(x, course.y[i], 0.12, "tick-ring"));
+    picture.car(course.carX[0], course.carY[0], course.heading[0], "ghost");
     picture.scale(5, 12 * picture.units(this.view.clientWidth || CHART.width, HIGHEST));
     this.moving = picture.add(element("g"));
     this.view.replaceChildren(picture.svg);
   }
 
   drawCharts() {
-    const end = this.way.times.at(-1) || 1;
+    const end = this.course.times.at(-1) || 1;
     const fine = Array.from({ length: 121 }, (_, i) => (i * end) / 120);
     const states = fine.map((t) => this.at(t));
     const lines = (name, dash, colour, values) => ({ name, dash, colour, values });
@@ -113,10 +112,10 @@ class Player {
 
   // All that is known at a time.
   at(time) {
-    const { way } = this;
+    const { course: way } = this;
     const [x, y, carX, carY, speed, heading] = [way.x, way.y, way.carX, way.carY, way.speed, way.heading].map((values) => between(way.times, values, time));
-    const there = phiAt(this.episodes.phi(this.k), way.step, time);
-    const { scene } = this.episodes.subject(this.k);
+    const there = phiAt(this.episode.safe, way.step, time);
+    const { scene } = this.episode.owner;
     const belief = way.belief && way.belief.map((values) => between(way.times, values, time));
     const [ahead, left] = inCar(x, y, carX, carY, heading);
     const velocity = inCar(...[way.x, way.y].map((values) => rateOf(way.times, values, time)), 0, 0, heading);
@@ -137,18 +136,18 @@ class Player {
     if (now.belief) this.drawBelief(picture, now);
     picture.others(time / picture.scene.timeStep, false);
     picture.user(...now.there, 0, "there");
-    picture.user(now.x, now.y, pointing(this.way, time), "user");
+    picture.user(now.x, now.y, pointing(this.course, time), "user");
     picture.svg = before;
     for (const cursor of this.cursors) for (const end of ["x1", "x2"]) cursor.setAttribute(end, this.x(time));
     this.time.value = time;
     this.now = time;
-    this.clock.textContent = `${fixed(time, 2)} of ${fixed(this.way.times.at(-1), 2)} s`;
+    this.clock.textContent = `${fixed(time, 2)} of ${fixed(this.course.times.at(-1), 2)} s`;
     this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then\n${soon(now)}${believed(now.belief)}`;
   }
 
   // Where the kamikaze believes the car's front to be: a band along the lane, and its middle.
   drawBelief(picture, { carX, carY, heading, belief: [ahead, deviation] }) {
-    const { front, half } = this.episodes.subject(this.k).scene.car;
+    const { front, half } = this.episode.owner.scene.car;
     const [low, high] = [front + ahead - DEVIATIONS * deviation, front + ahead + DEVIATIONS * deviation];
     picture.polygon(box(carX, carY, heading, high, -low, half + 0.15), "belief");
     const middle = box(carX, carY, heading, front + ahead, -front - ahead, half + 0.15);
@@ -156,8 +155,8 @@ class Player {
   }
 
   start() {
-    if (!this.way) return;
-    const end = this.way.times.at(-1);
+    if (!this.course) return;
+    const end = this.course.times.at(-1);
     const from = this.now >= end ? 0 : this.now;
     const begin = performance.now();
     this.play.textContent = "❚❚ pause";
@@ -177,6 +176,20 @@ class Player {
   }
 }
 
+// Where and when the car hits, in words.
+function where(episode, course) {
+  if (!episode.touched) return "";
+  const verb = episode.isHit ? "Hit" : "Touched";
+  const figures = `${fixed(episode.speed, 1)} m/s, ${fixed(episode.time, 2)} s after the start, ${episode.deviation < 0.005 ? "on φ itself" : `${fixed(episode.deviation, 2)} m from φ`}`;
+  if (!course) return `${verb} at ${figures}.`;
+  const [x, y, carX, carY, heading] = [course.x, course.y, course.carX, course.carY, course.heading].map((one) => one.at(-1));
+  const { front, rear, half } = episode.owner.scene.car;
+  const [ahead, left] = inCar(x, y, carX, carY, heading);
+  const beyond = { front: ahead - front, rear: -rear - ahead, "left side": left - half, "right side": -half - left };
+  const side = Object.keys(beyond).reduce((best, one) => (beyond[one] > beyond[best] ? one : best));
+  return `${verb} by the car's ${side} at ${figures}, at x\u00a0=\u00a0${fixed(x, 1)}\u00a0m, y\u00a0=\u00a0${fixed(y, 1)}\u00a0m.`;
+}
+
 function soon({ collision, braking }) {
   if (collision === Infinity) return "they would pass each other if both went on so";
   return `time to collision ${fixed(collision, 1)} s · required deceleration ${braking > MOST ? `above ${MOST}` : fixed(braking, 1)} m/s²`;
@@ -194,7 +207,7 @@ function niceStep(value) {
   return [1, 2, 5, 10].find((one) => one * power >= value) * power;
 }
 
-function fixed(value, digits) { return Number.isNaN(value) ? "–" : value.toFixed(digits).replace("-", "−"); }
+function fixed(value, digits) { return value === null || Number.isNaN(value) ? "–" : value.toFixed(digits).replace("-", "−"); }
 
 async function copyText(text, button) {
   const done = (word) => { button.textContent = word; setTimeout(() => (button.textContent = "copy"), 1500); };
