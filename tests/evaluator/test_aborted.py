@@ -19,12 +19,12 @@ from skd_evaluator.assessment.files.verification import assessment_from_file
 from skd_evaluator.assessment.options import WALKERS
 from skd_evaluator.assessment.stages.kamikazes import bounded_point
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.metrics.aborted import aborted_lines, at_worst, lost_in
+from skd_evaluator.metrics.aborted import aborted_lines, at_worst
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
-from skd_evaluator.report.presentation import any_aborted, too_many_aborted, why_failed
+from skd_evaluator.report.presentation import too_many_aborted, why_failed
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, SubsetEffort, levels_of
 from skd_sim.options.adversary import Objective
@@ -124,13 +124,6 @@ def test_the_worst_of_a_risk_is_that_with_hits() -> None:
     ]
 
 
-def test_nothing_is_said_where_nothing_was_aborted() -> None:
-    found = replace(with_risk(Touch.NONE), budgets=(BudgetPoint(0.5, 1, 18),))
-    assert not any_aborted(found)
-    assert lost_in(found.as_dict()) == aborted_lines(found.as_dict()) == []
-    assert too_many_aborted(found, 0.0) is None
-
-
 def test_what_is_lost_is_said_of_one_and_of_all() -> None:
     assert aborted_lines(rating(1).as_dict()) == [
         "1 of 40 runs along φ was aborted and counts for nothing; if the car had hit in it, the contact rate would "
@@ -211,24 +204,6 @@ def test_in_pytest_no_use_as_a_number_passes_by_aborted_episodes(passes: Any, nu
     rate = in_pytest(rating(2).as_dict()).contact_rate
     with pytest.raises(AssessmentError, match=r"not judged: contact_rate is 0\.0526316"):
         assert passes(rate, number)
-
-
-@pytest.mark.parametrize(
-    "passes",
-    [
-        lambda car: not car.nominal_collision_rate,
-        lambda car: car.objectives["paper"]["success_rate"] == 1.0,
-        lambda car: car.per_safe_trajectory[0]["contact_rate"] < 0.01,
-        lambda car: car.contact_rate_ci95[1] < 0.5,
-    ],
-)
-def test_in_pytest_figures_within_others_are_guarded_too(passes: Any) -> None:
-    lost = rating(2, mode=Mode.KAMIKAZE).as_dict()
-    along = {**rating(2).as_dict(), "nominal_collision_rate": 0.0, "objectives": lost["objectives"]}
-    along["per_safe_trajectory"][0]["contact_rate"] = 0.0
-    along["aborted"] += sum(one["aborted"] for one in lost["objectives"].values())
-    with pytest.raises(AssessmentError, match="not judged"):
-        assert passes(in_pytest(along))
 
 
 def test_in_pytest_an_upper_bound_of_the_margin_shows_no_least() -> None:

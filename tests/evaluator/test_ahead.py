@@ -11,10 +11,6 @@ import pytest
 from common import wait_until
 from skd_evaluator.assessment.stages import margin as ahead
 from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
-from skd_evaluator.margin.exact.exact import search_least
-from skd_evaluator.metrics import frechet as frechet_kernels
-from skd_sim.kernels import compilation
-from skd_sim.kernels.compilation import is_kept
 
 
 @pytest.fixture
@@ -41,17 +37,6 @@ def test_another_process_compiles_first(compiled_by: Path, monkeypatch: pytest.M
     assert second == os.getpid() != first
     with pytest.raises(ProcessLookupError):
         os.kill(first, 0)
-
-
-@pytest.mark.parametrize(("kept", "cores", "wanted"), [(True, 2, True), (False, 1, True), (False, 2, False)])
-def test_where_it_would_gain_nothing_there_is_none(
-    compiled_by: Path, monkeypatch: pytest.MonkeyPatch, kept: bool, cores: int, wanted: bool
-) -> None:
-    monkeypatch.setattr(ahead, "is_kept", lambda _kernel: kept)
-    monkeypatch.setattr(ahead, "available_workers", lambda: cores)
-    with margins_compiled_in_background(needed=wanted) as load:
-        load()
-    assert compiled_by.read_text().split() == [str(os.getpid())] * wanted
 
 
 def test_it_ends_with_what_failed(monkeypatch: pytest.MonkeyPatch, compiled_by: Path) -> None:
@@ -87,11 +72,3 @@ def test_it_ends_with_the_one_that_began_it(monkeypatch: pytest.MonkeyPatch, tmp
         return not status.exists() or "State:\tZ" in status.read_text()  # where nobody waits for orphans
 
     wait_until(has_ended, "its end")
-
-
-def test_a_kernel_is_kept_once_it_has_been_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
-    assert not is_kept(search_least)
-    (tmp_path / f"{frechet_kernels.__name__}.measure-0123.kernel").touch()
-    assert not is_kept(search_least)
-    assert is_kept(frechet_kernels.measure)

@@ -20,7 +20,7 @@ from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.cars import AnyCar, batched_car
-from skd_evaluator.risk.crossings import CrossingPlan, Crossings
+from skd_evaluator.risk.crossings import CrossingPlan
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
@@ -159,35 +159,11 @@ def test_a_replay_is_the_whole_episode_to_the_bit(period, safe):
     assert outcomes == {Outcome.COLLISION, Outcome.ARRIVED, Outcome.TIMEOUT}
 
 
-def test_neither_workers_nor_the_number_of_crossings_change_one(safe):
-    here = crossing_plan("batch_policies:Anticipating", safe)
-    crossings = crude_crossings(here, 300)
-    found = []
-    for workers in (1, 2):
-        with InProcessRunner(workers, isolated=True) as runner:
-            together = batched_car(here, runner)
-            assert together is not None
-            found.append(together.run(crossings, 1.0))
-    some: Crossings = crossings.of(np.arange(200, 280))
-    with InProcessRunner(1, isolated=True) as runner:
-        together = batched_car(here, runner)
-        assert together is not None
-        part = together.run(some, 1.0)
-    np.testing.assert_array_equal(found[0].missed, found[1].missed)
-    np.testing.assert_array_equal(found[0].missed[200:280], part.missed)
-
-
 @pytest.mark.parametrize(("policy", "count"), [("Liar", 20), ("Memory", 20), ("Late", 20), ("Seldom", 120)])
 def test_two_forms_that_differ_are_said(policy, count, safe):
     """Of what decides, too: who saw which of 20 crossings command was asked in braked in the other 19."""
     with pytest.raises(AssessmentError, match=r"commands answers .* where command answers"):
         crossed(f"own_policies:{policy}", safe, count)
-
-
-@pytest.mark.parametrize("policy", ["Short", "Masked"])
-def test_an_answer_of_another_length_or_without_values_is_said(policy, safe):
-    with pytest.raises(AssessmentError, match=r"commands must return an array of \d+ finite numbers"):
-        crossed(f"own_policies:{policy}", safe, 20)
 
 
 def test_a_policy_whose_process_dies_of_commands_has_no_figure(safe):

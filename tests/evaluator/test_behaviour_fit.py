@@ -43,11 +43,6 @@ def test_parameters_are_found_again_within_their_intervals(fit):
         assert fit.values[place] == pytest.approx(truth[place], rel=most)
 
 
-def test_a_fit_is_the_same_again(fit):
-    again = fit_behaviour(people(5), 0.3, intervals=False)
-    assert again.values.tobytes() == fit.values.tobytes()
-
-
 def test_recordings_are_held_out_whole():
     tracks = [Tracked(f"clip {number % 6}", str(number), np.zeros((20, 2))) for number in range(30)]
     by, folds = folds_of(tracks)
@@ -88,29 +83,6 @@ def test_the_command_writes_a_model_that_says_how_well_it_predicts(tmp_path, cap
     assert [row["horizon"] for row in validation["residuals"][::3]] == [0.6, 1.2, 2.4]
     assert validation["worst"] < 0.6  # of 20 people, who are of the model
     assert (tmp_path / "out" / "behaviour.png").stat().st_size > 10_000
-
-
-TICKS = np.arange(60) * 0.1
-
-
-@pytest.mark.parametrize(
-    ("row", "said"),
-    [
-        (lambda t: (t, 1400.0 * t, 0.0), r"000.csv, line 3: moves 140 m in 0.1 s"),
-        (lambda t: (t, -1.4 * t, 0.1 * t), "000: goes aside or back, as 12 of 12"),
-        (lambda t: (t, 0.0, 1.4 * t), "000: goes aside or back"),
-        (lambda t: (t + 60.0 * (t > 3.0), 1.4 * t, 0.0), r"000.csv, line 33: 60.1 s after the line before"),
-        (lambda t: (1e9 * t, 1.4 * t, 0.0), r"1e\+08 s after the line before"),
-        (lambda t: (t, 0.0, 0.0), "000: stands all the time"),
-        (lambda t: (t, round(1.4 * t, 4), 0.0), "straight on at one pace to the millimetre"),
-    ],
-)
-def test_tracks_that_nobody_went_are_refused(tmp_path, row, said):
-    for number in range(12):
-        rows = "".join(",".join(map(repr, map(float, row(t)))) + "\n" for t in TICKS.tolist())
-        (tmp_path / f"{number:03}.csv").write_text("t,x,y\n" + rows)
-    with pytest.raises(UsageError, match=said):
-        read_tracks([tmp_path], Damage())
 
 
 def test_people_who_never_hesitate_tell_nothing_of_how_long_they_would():

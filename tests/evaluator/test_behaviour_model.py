@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import yaml
 from skd_evaluator.metrics.behaviour.model import (
-    MEANINGS,
     NAMES,
     OF_PERSON,
     OF_TICK,
@@ -107,14 +106,6 @@ def test_a_file_is_read_as_it_was_written(walkers, tmp_path):
     write_behaviour(tmp_path / "behaviour.yaml", walkers)
     for path in (tmp_path, tmp_path / "behaviour.yaml"):
         assert load_behaviour(path) == walkers
-
-
-def test_every_parameter_has_a_source_and_a_meaning(walkers):
-    assert walkers.kind == "pedestrian"
-    assert set(walkers.parameters) == set(MEANINGS)
-    for name, one in walkers.parameters.items():
-        assert one.source
-        assert one.interval_95 is not None or (one.source == "assumed" and not MEANINGS[name].fitted)
 
 
 @pytest.mark.parametrize(

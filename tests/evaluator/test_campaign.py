@@ -23,7 +23,6 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -41,10 +40,6 @@ REPORTED = {
 def rated(plan: Plan, safe: Sequence[Trajectory], runner: Runner) -> Assessment:
     """Rate by the plan's objective alone."""
     return rate(plan, [plan.objective], safe, runner)
-
-
-def quiet(_label: str, _done: int, _total: int) -> None:
-    pass
 
 
 def straight(y: float = 0.0, name: str = "straight") -> Trajectory:
@@ -140,13 +135,6 @@ def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
         assert np.mean(np.concatenate(result.groups[name])) == pytest.approx(figures[name])
 
 
-def test_everything_aborted_leaves_no_rate():
-    result = rated(SMALL, [straight()], StubRunner(lambda _episode: Outcome.ABORTED)).as_dict()
-    assert result["kamikaze_success_rate"] is None
-    assert result["contact_rate"] is None
-    assert result["contact_rate_ci95_runs"] is None
-
-
 @pytest.mark.parametrize(("runs", "count"), [(500, 5), (7, 2), (2, 3)])
 def test_collision_runs_are_dealt_evenly(runs, count):
     safe = [straight(0.1 * k, f"{k}") for k in range(count)]
@@ -186,17 +174,6 @@ def test_walkers_are_as_many_different_safe_crossings_as_are_asked_for(name):
     assert not {phi.positions.tobytes() for phi in others} & {phi.positions.tobytes() for phi in safe}
 
 
-def test_walkers_differ_in_pace_start_and_drift():
-    safe = safe_trajectories(replace(SMALL, safe="walkers", safe_count=60), InProcessRunner(1))
-    durations = [(len(phi) - 1) * phi.time_step for phi in safe]
-    assert 2.0 <= np.median(durations) <= 2.7  # 5.5 m at 2.5 m/s, and some hesitate
-    assert max(durations) > 1.3 * min(durations)
-    assert np.std([phi.positions[0, 0] for phi in safe]) > 0.1
-    ends = [phi.positions[-1, 1] for phi in safe]
-    assert abs(np.mean(ends)) < 3.0 * np.std(ends) / 60**0.5
-    assert np.std(ends) > 0.2
-
-
 def test_walkers_are_pedestrians():
     with pytest.raises(UsageError, match=r"--safe walkers .* pedestrian; that of cyclist is a cyclist"):
         Plan(load_scenario("cyclist"), safe="walkers")
@@ -222,15 +199,6 @@ def test_episode_ids_are_unique_and_bounded():
 # --- the same seed
 
 
-def run_all(plan: Plan, workers: int) -> bytes:
-    """Return episodes.npz of a campaign."""
-    with InProcessRunner(workers) as runner:
-        found = rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner)
-    file = io.BytesIO()
-    write_episodes(file, found)
-    return file.getvalue()
-
-
 def test_sweep_and_assess_give_the_same(tmp_path):
     sizes = ["--safe-count", "1", "--kamikaze-count", "3", "--collision-runs", "4", "--simulations", "50"]
     for command in ("sweep --multipliers 0.5 1.1", "assess --multiplier 1.1"):
@@ -241,15 +209,6 @@ def test_sweep_and_assess_give_the_same(tmp_path):
 
 
 # --- the figures
-
-
-@pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
-def test_kamikazes_succeed(multiplier):
-    plan = replace(SMALL, multiplier=multiplier, kamikaze_count=15, simulations=500, collision_runs=1)
-    with InProcessRunner(1) as runner:
-        result = rated(plan, safe_trajectories(plan, runner), runner).as_dict()
-    assert result["pairs"] == 30
-    assert result["kamikaze_success_rate"] >= 0.95
 
 
 def curves(data: np.lib.npyio.NpzFile, mode: Mode, phi: int) -> list[np.ndarray]:

@@ -12,7 +12,6 @@ from search_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.assessment.options import OWN
 from skd_evaluator.assessment.plan import Plan, probe_episodes
-from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
@@ -20,7 +19,7 @@ from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.deviation import deviation
-from skd_sim.controllers import BasicController, SensingController, make_controller
+from skd_sim.controllers import SensingController, make_controller
 from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
@@ -163,27 +162,6 @@ def test_in_process_in_lockstep_and_in_real_time_every_byte_is_the_same(name: st
             )
 
 
-def test_a_car_that_looks_more_often_is_hit_less_or_as_often() -> None:
-    """The same law at the same distance: within one tick's travel it brakes earlier, never later."""
-    starts = []
-    for period in (None, 0.05):
-        scenario = replace(CROSSING, control_period=period)
-        first = []
-        for number in range(40):
-            episode = replace(episode_of("basic", number, Mode.REPLAY), scenario=scenario)
-            simulator, controller = WorldSimulator(), BasicController(1.0)
-            controller.reset(scenario, np.random.default_rng(0))
-            frame = simulator.reset(episode)
-            while (command := controller.command(frame.car, frame.adversary)) == 0.0:
-                frame = simulator.step(command, (0.0, 0.0))
-            first.append((frame.tick + frame.period / scenario.control_periods) * scenario.time_step)
-        starts.append(np.array(first))
-    once, often = starts
-    # A whole tick at the most, but for the noise of the speed, which is a few centimetres in a tick.
-    assert np.all(often <= once + 0.05 + 1e-9)
-    assert 0.1 < (once - often).mean() < 0.2  # uniform in the tick: half of it, less half a control period
-
-
 # --- what a controller declares
 
 
@@ -288,14 +266,3 @@ def test_the_search_finds_what_can_be_driven(name: str) -> None:
 def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:
     with pytest.raises(ValueError, match="decides once a time step"):
         exact_margin(episode_of("basic"))
-
-
-@pytest.mark.parametrize("name", ["basic", "cal"])
-def test_its_logs_are_believed_and_no_more_than_their_ticks_can_tell(name: str) -> None:
-    for number in range(3):
-        log = run_episode(episode_of(name, number))
-        verdict = examine(log)
-        assert verdict.fault == ""
-        assert verdict.ours
-        elsewhere = replace(log, adversary=np.add(log.adversary, (0.0, 0.01)))
-        assert not examine(elsewhere).ours

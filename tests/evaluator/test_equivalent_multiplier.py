@@ -95,27 +95,6 @@ def test_trials_that_say_nothing_do_not_count():
     assert difference([[math.nan]], [[1.0]]) is None
 
 
-def test_an_interval_wider_than_what_was_compared_ends_at_its_first_and_last_multiplier():
-    found = equivalent_multiplier([[0.2], [1.8]], {one: [[one], [one]] for one in GRID})
-    assert found.value == pytest.approx(1.0)
-    assert found.ci95 is not None
-    assert found.interval_text(found.ci95) == "[below 0.5, above 1.5]"
-
-
-@pytest.mark.parametrize(
-    ("car", "basic"),
-    [
-        ([[1.0]], {1.0: [[1.0]]}),
-        ([[1.0], [1.0]], {0.5: [[1.0]], 1.0: [[1.0]]}),
-        ([[]], {0.5: [[1.0]], 1.0: [[2.0]]}),
-        ([[math.nan]], {0.5: [[1.0]], 1.0: [[2.0]]}),
-    ],
-)
-def test_what_cannot_be_compared_is_refused(car, basic):
-    with pytest.raises(ValueError, match=r"basic car"):
-        equivalent_multiplier(car, basic)
-
-
 def campaign(
     multipliers: list[float], hardness: np.ndarray, other: np.ndarray, rng: np.random.Generator
 ) -> tuple[list[np.ndarray], dict[float, list[np.ndarray]]]:

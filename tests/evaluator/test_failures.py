@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,7 @@ from scipy import signal, stats
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.failures import HARDLY, Walkers, failures_of, nine_normals
-from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -26,7 +23,6 @@ from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_crossing
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from stages import rate, with_risks
@@ -180,46 +176,3 @@ def test_one_is_read_back_and_repeated_to_the_bit(folder):
         np.testing.assert_array_equal(log.adversary, subject.failing.adversary[number])
         np.testing.assert_array_equal(log.car, subject.failing.car[number])
         assert log.impact_time == subject.failing.impact_time[number]
-
-
-@pytest.mark.parametrize(
-    ("fault", "said"),
-    [
-        ("kind", "kinds.0.kind"),
-        ("share", "kinds.0.share"),
-        ("deviation", "nearest.0.deviation"),
-        ("others", "are not those nearest"),
-        ("offsets", "do not go together"),
-    ],
-)
-def test_failures_that_do_not_follow_are_named(fault, said, folder):
-    path = folder / "assessment.json"
-    figures = json.loads(path.read_text())
-    with np.load(folder / "episodes.npz") as stored:
-        arrays = {name: array for name, array in stored.items() if name.startswith("risk_")}
-    first = figures["risk"]["failures"]["kinds"][0]
-    if fault == "kind":
-        first["kind"] = "sways"
-    elif fault == "share":
-        first["share"] += 0.01
-    elif fault == "deviation":
-        first["nearest"][0]["deviation"] *= 0.9
-    else:
-        name, where, value = {
-            "others": ("risk_failure", 0, 1),
-            "offsets": ("risk_failure_offsets", 0, 1),
-        }[fault]
-        arrays[name][where] += value
-    path.write_text(json.dumps(figures))
-    with np.load(folder / "episodes.npz") as stored:
-        others = {name: array for name, array in stored.items() if not name.startswith("risk_")}
-    np.savez_compressed(folder / "episodes.npz", **others, **arrays)
-    (folder / MANIFEST).unlink(missing_ok=True)
-    write_manifests(folder)
-    found = verify(folder)
-    assert any(said in line for line in (*found.contradict, *found.problems)), found
-
-
-def test_a_crossing_of_another_kind_of_road_user_is_refused():
-    with pytest.raises(UsageError, match="--mode risk: behaviour walkers is of a pedestrian"):
-        single_crossing(replace(PLAN, scenario=load_scenario("cyclist")), WALKERS, 0, 0, 1.0)

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from skd_evaluator import provenance as fingerprint
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.dask_cluster import _have, sent
 from skd_evaluator.assessment.stages.car_model import model_folder
@@ -100,13 +99,6 @@ def test_weights_behind_a_link_count(cars: Path, tmp_path: Path) -> None:
     assert kept(FLEET) != before
 
 
-def test_paths_are_found_without_running_anything(cars: Path) -> None:
-    assert code_paths(CAR) == [cars / "netcar.py"]
-    assert code_paths(FLEET) == [cars / "fleet"]
-    assert code_paths(CarUnderTest("nowhere:Car")) == code_paths(CarUnderTest()) == []
-    assert "fleet" not in sys.modules
-
-
 def test_a_node_is_known_by_what_its_command_names(cars: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     put(tmp_path / "stack" / "node.py")
@@ -130,12 +122,6 @@ def test_a_node_is_known_by_what_its_command_names(cars: Path, tmp_path: Path, m
 def test_no_model_is_kept_of_a_node_of_which_no_file_is_known(command: str) -> None:
     node = CarUnderTest(EXTERNAL)
     assert kept(node, command) is None
-
-
-def test_of_too_many_files_no_model_is_kept(cars: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (cars / "fleet" / "circle").symlink_to(cars / "fleet")
-    monkeypatch.setattr(fingerprint, "MOST_FILES", 5)
-    assert kept(FLEET) is None
 
 
 def test_a_result_names_the_files(cars: Path) -> None:

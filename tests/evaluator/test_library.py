@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
-import os
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import pytest
 from common import run_skd
@@ -16,7 +13,6 @@ from skd_evaluator import AssessmentError, assess, load_result
 from skd_evaluator.metrics.aborted import not_credible
 from skd_sim import UsageError
 
-ROOT = Path(__file__).resolve().parents[2]
 SMALL = {"safe_count": 2, "kamikaze_count": 3, "collision_runs": 4, "simulations": 50, "seed": 3}
 WHEN_AND_WHERE = ("seconds", "provenance")
 
@@ -48,28 +44,6 @@ def test_wrong_options_are_refused_in_one_line(tmp_path):
     (tmp_path / "there" / "file").write_text("")
     with pytest.raises((UsageError, AssessmentError), match="there"):
         assess("basic", out=tmp_path / "there", **SMALL)
-
-
-@pytest.mark.parametrize(
-    ("argument", "right"),
-    [
-        ({"controller": dict}, "text"),
-        ({"scenario": 5}, "text"),
-        ({"workers": -3}, "a whole number from 1 to 1024"),
-        ({"workers": 0}, "a whole number from 1 to 1024"),
-        ({"margin_limit": -1}, "a whole number from 0 to 1000000"),
-        ({"margin_limit": 10**400}, "a whole number from 0 to 1000000"),
-        ({"margin_limit": "8"}, "a whole number from 0 to 1000000"),
-        ({"max_aborted": math.nan}, "a number from 0 to 100"),
-        ({"curve": "x"}, "true or false"),
-        ({"max_aborted": 101}, "a number from 0 to 100"),
-    ],
-)
-def test_wrong_arguments_are_named_with_what_would_be_right(argument, right):
-    """Some ended in an error of whatever came upon them, and others were taken as something else, without a word."""
-    ((name, _),) = argument.items()
-    with pytest.raises(UsageError, match=f"^assess: {name} must be {right}, got [^\n]*$"):
-        assess(**argument)
 
 
 QUITTER = """
@@ -176,18 +150,3 @@ def test_that_skd_is_not_defined_is_said(tmp_path):
     assert {str(one.message) for one in said} <= set(found.warnings)
     assert not not_credible(found.warnings)
     assert load_result(tmp_path / "out").figures["warnings"] == list(found.warnings)
-
-
-def test_the_example_says_the_same_figure_twice_and_draws(tmp_path):
-    script = ROOT / "examples" / "library" / "library.py"
-    environment = {**os.environ, "MPLBACKEND": "agg"}
-    done = subprocess.run(
-        [sys.executable, script, tmp_path / "out"], capture_output=True, text=True, env=environment, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    first, again, strayed = done.stdout.splitlines()
-    assert first.split()[1] == again.split()[2]
-    stated = json.loads((tmp_path / "out" / "assessment.json").read_text())
-    assert float(strayed.split()[-4]) == pytest.approx(stated["deviation_of_successes"], abs=6e-4)
-    assert (tmp_path / "out" / "margins.png").stat().st_size > 10_000
-    assert len(script.read_text().splitlines()) <= 35

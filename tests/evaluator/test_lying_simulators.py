@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_support import SMALL, skd_from_nothing
 from skd_evaluator import assess
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
@@ -198,36 +195,3 @@ def test_one_that_ends_its_process_aborts_its_episodes_by_name():
         assert kind_of(one) == AbortKind.ENDED
         assert "exit code 7" in one
         assert "simulator dies" in one
-
-
-SOURCE = """
-from skd_sim.simulators.simulator import WorldSimulator
-class Prints(WorldSimulator):
-    def step(self, acceleration, velocity):
-        print('{"margin": 9}')
-        return super().step(acceleration, velocity)
-class Raises(WorldSimulator):
-    def step(self, acceleration, velocity):
-        raise ValueError("boom")
-"""
-
-
-def installed(folder: Path) -> Path:
-    (folder / "liars.py").write_text(SOURCE, encoding="utf-8")
-    about = folder / "liars-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: liars\nVersion: 1.0\n", encoding="utf-8")
-    entries = "[skd.simulators]\nprints = liars:Prints\nraises = liars:Raises\n"
-    (about / "entry_points.txt").write_text(entries, encoding="utf-8")
-    return folder
-
-
-def test_the_command_ends_in_one_line_and_prints_are_no_part_of_the_result(tmp_path: Path):
-    site = str(installed(tmp_path))
-    done = skd_from_nothing("assess", *SMALL, "--simulator", "raises", cwd=tmp_path, PYTHONPATH=site)
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
-    assert "skd assess: error: simulator raises: step failed with ValueError: boom (liars.py, line " in done.stderr
-    done = skd_from_nothing("assess", *SMALL, "--simulator", "prints", "--json", cwd=tmp_path, PYTHONPATH=site)
-    assert json.loads(done.stdout)["options"]["simulator"] == "prints"
-    assert '{"margin": 9}\n' in done.stderr

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skd_evaluator.metrics.clustered import clustered_mean
-from skd_evaluator.metrics.frechet import discrete_frechet, warped_distance
 from skd_evaluator.metrics.measures import Measured, Pair, load_measures, pair_of
 from skd_evaluator.metrics.statistics import mean, normal_interval, sample_variance
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
@@ -82,25 +81,6 @@ def test_the_order_of_pairs_changes_nothing(name, drawn, draw):
     np.testing.assert_array_equal(after, before[order])
     first, second = (Measured(MEASURES[name], (one,)).figures([np.arange(len(walks))], 0.95) for one in (before, after))
     assert first == second
-
-
-@pytest.mark.parametrize("name", MEASURES)
-@given(worlds(), st.sampled_from([0.5, 2.0, 4.0]))
-@settings(max_examples=15)
-def test_in_another_unit_of_length_it_is_the_same_length(name, drawn, scale):
-    phi, walks, shares = drawn
-    assert MEASURES[name].unit == "m"
-    before = values(name, world(phi, walks, shares))
-    after = values(name, world(scale * phi, [scale * one for one in walks], shares))
-    np.testing.assert_array_equal(after, scale * before)
-
-
-@given(WALKS, WALKS)
-@settings(max_examples=30)
-def test_distances_between_curves_are_symmetric_and_0_to_oneself(one, other):
-    for distance in (discrete_frechet, warped_distance):
-        assert distance(one, other) == distance(other, one)
-        assert distance(one, one) == 0.0
 
 
 # --- values that are none

@@ -17,8 +17,7 @@ from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.assess import graph_options
 from skd_evaluator.cli.commands import make_parser, parse
 from skd_sim.errors import UsageError
-from skd_sim.options import options as table
-from skd_sim.options.adversary import BOTH, Knowledge, Objective
+from skd_sim.options.adversary import BOTH, Objective
 from skd_sim.options.options import (
     FIELDS,
     EpisodeOptions,
@@ -26,7 +25,6 @@ from skd_sim.options.options import (
     option,
     options_from_text,
     options_of,
-    options_to_text,
 )
 from skd_sim.ros.from_messages import message_to_episode
 from skd_sim.scenario.scenario import load_scenario
@@ -87,14 +85,6 @@ def test_an_episode_survives_its_message():
         assert getattr(found, one.name) == getattr(episode, one.name), one.name
     plain = message_to_episode(message_of(EpisodeSpec(CROSSING, Mode.KAMIKAZE, 3, 4, ACROSS)))
     assert plain.maximum_distance is None
-
-
-def test_options_without_a_field_go_by_text():
-    chosen = EpisodeOptions(particles=9, knowledge=Knowledge.NOTHING, simulations=12)
-    assert json.loads(options_to_text(chosen)) == {"particles": 9, "knowledge": "nothing"}
-    assert options_from_text(options_to_text(chosen), "here") == {"particles": 9, "knowledge": Knowledge.NOTHING}
-    assert options_to_text(EpisodeOptions(knowledge=Knowledge.KNOWN)) == ""  # as it is implied of the basic car
-    assert options_from_text("", "here") == {}
 
 
 @pytest.mark.parametrize(
@@ -179,11 +169,3 @@ def test_a_plan_of_parameters_and_one_of_the_command_line_are_the_same():
     limited = plan_of({**parameters, "maximum_distance": 2.0, "multiplier": 0.5}, CROSSING, seed=8)
     assert (limited.maximum_distance, limited.multiplier, limited.seed) == (2.0, 0.5, 8)
     assert dataclasses.replace(limited, seed=0).episode(Mode.KAMIKAZE, 0, 0, ACROSS).maximum_distance == 2.0
-
-
-@pytest.mark.parametrize(
-    ("text", "allowed"),
-    [("jump", True), ("restart,jump", True), ("jump,jump", False), ("jump,", False), ("", False), ("leap,jump", False)],
-)
-def test_lists_of_names(text: str, allowed: bool) -> None:
-    assert (text in table.Lists(("jump", "restart"))) == allowed

@@ -5,25 +5,19 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from cli_support import one_line
-from skd_adversary.car_models.car_model_file import LawCalibration, car_model_for_scenario, car_model_text, fitted_car
-from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
@@ -137,15 +131,3 @@ def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
             risk_request(str(source))
     shutil.copy(behaviour, tmp_path / "mine.yaml")
     assert risk_request(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
-
-
-@pytest.mark.parametrize("value", [".nan", "[1]"])
-@pytest.mark.parametrize("key", ["statistic", "p_value"])
-def test_what_stands_beside_a_law_is_finite(tmp_path, key, value):
-    """Episodes carry it as JSON, which has no such values."""
-    car = replace(fitted_car(any_car_models()[0]), calibration=LawCalibration(100, 0.05, 0.5))
-    model = yaml.safe_dump(yaml.safe_load(car_model_text(car)))
-    path = tmp_path / "car_model.yaml"
-    path.write_text(re.sub(rf"(calibration:(?:\n  .*)*\n  {key}: ).*", rf"\g<1>{value}", model))
-    with pytest.raises(UsageError, match=f"calibration.{key} must be a finite number"):
-        car_model_for_scenario(path, load_scenario("crossing"))

@@ -12,7 +12,6 @@ import yaml
 from cli_support import one_line, skd
 from search_support import search_margin
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.compare.comparability import scenario_difference
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -75,17 +74,6 @@ def test_whatever_they_know(knowledge: Knowledge) -> None:
         assert_free(scenario, log.trajectory.positions, CROSSING.adversary.core)
 
 
-def test_without_the_cars_they_would_have_gone_through() -> None:
-    """Which is what the others are held against: the same trials, with nothing in the way."""
-    scenario, through = parked(), 0
-    for one in episodes(CROSSING, 12, objective=Objective.PAPER, simulations=300):
-        try:
-            assert_free(scenario, run_episode(one).trajectory.positions, CROSSING.adversary.core)
-        except AssertionError:
-            through += 1
-    assert through > 0
-
-
 def test_the_margin_goes_around_and_is_no_less_than_without() -> None:
     scenario = parked(edge=-1.25)
     for blocked, free in zip(episodes(scenario, 6), episodes(CROSSING, 6), strict=True):
@@ -115,13 +103,6 @@ def test_cyclists_brake_or_have_missed() -> None:
         log = run_episode(EpisodeSpec(scenario, Mode.KAMIKAZE, 3, number, safe_trajectory=phi, simulations=300))
         walked = log.trajectory.positions if np.isfinite(log.impact_time) else log.adversary[:-1]
         assert_free(scenario, walked, scenario.adversary.core)
-
-
-def test_two_scenarios_with_other_obstacles_are_not_the_same() -> None:
-    found = scenario_difference(parked().as_dict(), CROSSING.as_dict())
-    assert found is not None
-    assert found[0] == "obstacles"
-    assert scenario_difference(parked().as_dict(), parked().as_dict()) is None
 
 
 def test_a_safe_trajectory_through_an_obstacle_is_refused(tmp_path: Path) -> None:

@@ -13,15 +13,12 @@ from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.metrics.deviation import Hit
-from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.presentation import picture_names
-from skd_evaluator.report.terminal import headline_table
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from stages import rate
-from test_campaign import StubRunner, straight, trial
+from test_campaign import StubRunner, straight
 from test_warnings import shown
 
 CROSSING = load_scenario("crossing")
@@ -41,17 +38,6 @@ def alone(objective: Objective, plan: Plan = PLAN) -> Assessment:
     plan = replace(plan, multiplier=1.1)
     with InProcessRunner(1) as runner:
         return rate(plan, [objective], safe_trajectories(plan, runner), runner)
-
-
-def test_runs_along_phi_are_run_once() -> None:
-    runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    found = rate(PLAN, (PAPER, DEVIATION), [straight()], runner)
-    asked = [episode for batch in runner.batches for episode in batch]
-    assert sum(episode.mode == Mode.REPLAY for episode in asked) == PLAN.collision_runs
-    kamikazes = [(episode.objective, trial(episode)) for episode in asked if episode.mode == Mode.KAMIKAZE]
-    assert kamikazes == [(objective, k) for objective in (DEVIATION, PAPER) for k in range(4)]
-    assert found.episodes == len(asked)
-    assert (found.trials, found.successes) == (8, 8)
 
 
 def test_objectives_have_the_draws_that_they_have_alone(both: Assessment) -> None:
@@ -171,19 +157,3 @@ def test_who_walks_into_a_standing_car_is_counted_apart() -> None:
     assert result["collision_standing_contacts"] == 2
     lines = [line for line in shown(found).splitlines() if "walked into a standing car" in line]
     assert [line.split(" walked into")[0].split()[-1] for line in lines] == ["2", "1", "1"]
-
-
-def test_the_first_figure_of_the_table_is_the_margin(both: Assessment) -> None:
-    ways = tuple(
-        tuple(Hit(0.5, phi, len(phi) - 1.0, 4.0, 0.0) for _ in range(PLAN.kamikaze_count)) for phi in both.safe
-    )
-    result = replace(both, margins=Margins(ways, CROSSING.eta_max)).as_dict()
-    names = [str(name) for name in headline_table(result).columns[0].cells]
-    assert names[0] == "[bold]margin[/] (m), exact"
-    assert len(names) <= 8
-    order = [
-        next(i for i, name in enumerate(names) if word in name) for word in ("nominal collision rate", "planned", "SKD")
-    ]
-    assert order == sorted(order)
-    # Where it is not known the table begins with what is.
-    assert not any("margin" in str(name) for name in headline_table(both.as_dict()).columns[0].cells)

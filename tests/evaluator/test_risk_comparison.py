@@ -30,10 +30,6 @@ WALKERS = load_behaviour("walkers")
 OTHERS = replace(WALKERS, name="others", parameters={**WALKERS.parameters, "pace": Parameter(0.3, "assumed")})
 
 
-def quiet(*_told: object) -> None:
-    pass
-
-
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StoredResult]:
     found = {}
@@ -65,21 +61,6 @@ def test_risks_of_unlike_behaviour_models_are_not_compared(results):
     found = compare(results["A"], results["C"])
     assert list(found.votes) == ["margin"]
     assert any("different behaviour models, walkers and others" in line for line in found.lines())
-
-
-def test_behaviour_models_of_one_name_are_told_apart_by_their_parameters(results):
-    """*Walkers and walkers* were said to be different."""
-    second = results["C"]
-    behaviour = {**second.figures["risk"]["behaviour"], "name": "walkers"}
-    renamed = replace(second, figures={**second.figures, "risk": {**second.figures["risk"], "behaviour": behaviour}})
-    (line,) = [line for line in compare(results["A"], renamed).lines() if "behaviour" in line]
-    pace = WALKERS.parameters["pace"].value
-    assert f"different behaviour models, both called walkers (pace is {pace} and 0.3), and" in line
-    values = {**behaviour["parameters"], "pace": results["A"].figures["risk"]["behaviour"]["parameters"]["pace"]}
-    described = {**behaviour, "parameters": values, "description": "others"}
-    figures = {**second.figures, "risk": {**second.figures["risk"], "behaviour": described}}
-    (line,) = [one for one in compare(results["A"], replace(second, figures=figures)).lines() if "behaviour" in one]
-    assert "both called walkers (other description), and" in line
 
 
 def told(results: dict[str, StoredResult], **directions: int) -> Comparison:

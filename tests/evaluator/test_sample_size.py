@@ -60,27 +60,3 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert "--figure skd needs a result" in capsys.readouterr().err
     assert main(["plan", "--width", "1e-12"]) == 2
     assert "ask for a wider interval" in capsys.readouterr().err
-
-
-def test_a_prior_is_left_out_where_it_can_say_nothing():
-    """Of one trial on each φ, of values without variance, and of many φ; 10⁻³⁰⁰ m² had been a traceback."""
-    for within, safe, trials, student in (
-        (0.25, 60, 8, False), (0.25, 61, 8, True), (0.25, 5, 1, True), (0.25, 5, 2, False), (0.0, 5, 8, True),
-        (1e-300, 5, 8, True),
-    ):  # fmt: skip
-        known = expected_width(0.09, within, safe, trials, prior=DISTANCES)
-        plain = expected_width(0.09, within, safe, trials)
-        assert (known == plain) == student
-        assert known == pytest.approx(plain, rel=0.25)
-
-
-def test_without_variance_a_difference_is_found_for_sure_or_by_chance_alone():
-    assert power(0.1, 0.0, 0.0, 5, 5, paired=True) == 1.0
-    assert power(-0.1, 0.0, 0.0, 2, 1, paired=False) == 1.0
-    assert power(0.0, 0.0, 0.0, 5, 5, paired=True, level=0.07) == 0.07
-    for paired, freedom in ((True, 4), (False, 8)):
-        error = math.sqrt((1 if paired else 2) * 0.5 / 5)
-        bound = stats.t.ppf(0.9, freedom)
-        theirs = stats.nct.sf(bound, freedom, 1.0 / error) + stats.nct.cdf(-bound, freedom, 1.0 / error)
-        assert power(1.0, 0.4, 0.2, 5, 2, paired=paired, level=0.2) == pytest.approx(theirs, abs=2e-4)
-    assert power(0.0, 0.4, 0.2, 5, 2, paired=True) == pytest.approx(0.05, abs=1e-5)

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 from skd_evaluator.assessment.stages.static_tests import without_noise
-from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
@@ -90,19 +89,6 @@ def test_unbraked_a_car_that_turns_or_is_crossed_meets_its_target_there(name: st
             assert one.impact_place == pytest.approx(one.place, abs=1.0)
 
 
-@pytest.mark.parametrize("name", ["ccftap", "cmftap"])
-def test_unbraked_a_car_that_turns_left_drives_into_the_side_of_who_comes(name: str) -> None:
-    """Its front is then within the target's length, on the target's own line, where the lanes lie."""
-    for kmh in (10, 15, 20):
-        (one,) = static_tests_of(name, kmh)
-        assert one.touched
-        x, y = one.log.trajectory.positions[-1]
-        half = 0.5 * (one.log.episode.scenario.adversary.length or 0.0)
-        assert y == pytest.approx(-12.0 + 3.5)
-        car_x, car_y, *_ = one.log.car[-1]
-        assert math.hypot(car_x - (x - half), car_y - y) < 2.25 + 1.5
-
-
 @pytest.mark.parametrize("name", ALONG)
 def test_unbraked_a_target_in_the_lane_is_met_at_its_impact_place(name: str) -> None:
     for kmh in ALONG[name][0]:
@@ -156,20 +142,6 @@ def test_unbraked_who_changes_lanes_is_met_at_its_impact_place() -> None:
             assert one.touched
             assert one.impact_place == pytest.approx(one.place, abs=1.0)
             assert one.log.impact_time == pytest.approx(5.15, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"protocol.aside": 0.0}, "give all three, or none"),
-        ({"protocol.change_time": 0.3}, "change_time is too short"),
-        ({"protocol.headway": 1.0}, "comes along the lane at a steady speed"),
-        ({"adversary.start_heading": 0.0}, "moves along the lane"),
-    ],
-)
-def test_a_change_of_lanes_that_cannot_be_is_refused(changes: dict[str, float | None], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        regulatory_trajectories(changed_scenario("ccfhol", changes))
 
 
 @pytest.mark.parametrize("name", CROSSING)
@@ -235,11 +207,6 @@ def test_a_target_that_brakes_is_met_where_two_parabolas_meet(name: str) -> None
                         speed - 4.0 * min(max(0.0, at - begins), speed / 4.0), abs=0.1
                     )
                     assert one.impact_place == pytest.approx(one.place, abs=1.0)
-
-
-def test_without_a_protocol_there_is_no_static_test() -> None:
-    with pytest.raises(UsageError, match="scenario crossing has no section protocol"):
-        static_tests_of("crossing", 30)
 
 
 @pytest.mark.parametrize(("name", "start", "distance", "kmh"), [("cpna", 4.0, 1.0, 5), ("cpfa", -6.0, 1.5, 8)])

@@ -54,11 +54,6 @@ def test_whoever_stands_beside_the_way_is_further_from_a_hit_than_whoever_walks_
     assert missed(np.column_stack([places, np.full(40, 0.5)]), stands) == math.inf  # too slow for a hit
 
 
-def driving(speed: float) -> np.ndarray:
-    """A tick on the way North, from the origin."""
-    return np.array([[0.0, at * speed * STEP, 0.5 * math.pi, speed] for at in (0.0, 1.0)])
-
-
 FRONT, ELSEWHERE, NO_HIT = 1, 2, 3
 
 
@@ -98,13 +93,3 @@ def test_a_touch_counts_by_its_side_and_by_the_speed(footprint, place, counts, i
 def test_in_a_curve_who_is_not_ahead_of_the_front_touches_a_side(ahead, left, exactly, in_a_curve):
     for same, wanted in ((SAME, exactly), (IN_A_CURVE, in_a_curve)):
         assert side_touched(ahead, left, FOOTPRINT, RADIUS, 5.0, HIT_SPEED, same) == wanted
-
-
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-@pytest.mark.parametrize(("walks", "counts_as"), [(1.5, 1.5), (0.1, 0.2), (0.0, 0.2), (-1.5, 0.2)])
-@pytest.mark.parametrize("beside", [0.4, 2.0])
-def test_beside_the_way_it_is_the_distance_over_how_fast_somebody_comes(side, walks, counts_as, beside):
-    here = (side * (FOOTPRINT[2] + beside), FOOTPRINT[0])
-    there = (here[0] - side * walks * STEP, here[1])
-    found = missed_by(driving(5.0), here, there, 0.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP)
-    assert found == pytest.approx((beside - RADIUS) / counts_as)

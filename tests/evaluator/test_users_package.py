@@ -164,13 +164,3 @@ def test_a_name_of_two_packages_is_refused(tmp_path: Path):
     assert done.returncode == 2
     assert "registered more than once: " in done.stderr
     assert "one:Careful" in done.stderr
-
-
-def test_names_of_skd_cannot_be_taken(tmp_path: Path):
-    """Whatever is installed, basic is the paper's car."""
-    path = installed(tmp_path / "site", entries="[skd.controllers]\nbasic = my_scenarios:Careful\n")
-    program = "from skd_sim.controllers import make_controller as make; print(type(make('basic', 0.5)).__name__)"
-    done = subprocess.run(
-        [sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": str(path)}, capture_output=True, text=True
-    )
-    assert done.stdout == "BasicController\n"

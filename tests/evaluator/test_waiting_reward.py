@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pytest
 from skd_adversary.adversary import predicted_car
-from skd_adversary.car_models.car_model_file import FittedCar, car_model_from, car_model_text, fitted_car
+from skd_adversary.car_models.car_model_file import FittedCar, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.assessment.stages.car_model import CHOICES, WAITING_TRIALS, with_waiting_reward
 from skd_evaluator.errors import AssessmentError
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -73,11 +71,6 @@ def test_all_have_the_same_draws_and_none_of_those_that_the_car_was_learned_from
     assert all(one.objective == Objective.DEVIATION for _, episodes in runner.asked for one in episodes)
 
 
-def test_what_a_law_has_by_itself_is_tried_first() -> None:
-    reward, runner = chosen({one: [0.5] for one in CHOICES}, LAW)
-    assert [reward] == [one for one, _ in runner.asked] == [CHOICES[1]]
-
-
 def test_trials_that_are_aborted_do_not_count_unless_all_are() -> None:
     reward, _ = chosen({USUAL: [0.0, math.nan], **{one: [1.0, math.nan] for one in OTHERS}})
     assert reward == OTHERS[0]
@@ -94,10 +87,3 @@ def test_kamikazes_plan_with_it(car: FittedCar) -> None:
     assert predicted_car(episode).parameters(CROSSING)["waiting_reward"] == -0.3
     silent = dataclasses.replace(episode, car_model=car_model_text(car))
     assert predicted_car(silent).parameters(CROSSING)["waiting_reward"] in CHOICES[:2]
-
-
-def test_a_reward_for_waiting_that_is_one_is_refused() -> None:
-    data = json.loads(car_model_text(LAW))
-    for forged in (0.1, math.inf, "much", True):
-        with pytest.raises(UsageError, match="waiting_reward"):
-            car_model_from({**data, "waiting_reward": forged}, "file")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import threading
@@ -12,10 +11,8 @@ from pathlib import Path
 
 import pytest
 from common import wait_until
-from hypothesis import given
-from hypothesis import strategies as st
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.workers import InProcessRunner, Pace, Workers, do, in_background
+from skd_evaluator.assessment.run.workers import InProcessRunner, Workers, do, in_background
 from skd_evaluator.errors import AssessmentError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Mode, Outcome, abort_reason, counted_reasons, kind_of
@@ -96,38 +93,6 @@ def test_each_log_has_the_episode_that_was_asked_for():
     with Over(ProcessPoolExecutor(1)) as runner:
         logs = list(runner.run(episodes))
     assert all(log.episode is episode for log, episode in zip(logs, episodes, strict=True))
-
-
-def test_nobody_runs_far_ahead_of_whoever_takes_the_results():
-    release = threading.Event()
-
-    def slow_at_first(item: int) -> int:
-        if item == 0:
-            release.wait(60.0)
-        return item
-
-    with Over(ThreadPoolExecutor(2)) as runner:
-        runner.pace = Pace(0.0, 0.0)  # one item a chunk
-        threading.Timer(0.5, release.set).start()
-        found = runner.map(slow_at_first, range(1000))
-        assert next(found) == 0
-        assert runner.tasks <= 2 * 16
-        assert list(found) == list(range(1, 1000))
-
-
-@given(
-    seconds=st.floats(1e-6, 100.0),
-    remaining=st.integers(1, 10**6),
-    workers=st.integers(1, 4000),
-    target=st.floats(0.0, 10.0),
-    least=st.floats(0.0, 1.0),
-)
-def test_chunks_are_long_beside_their_cost_but_leave_work_for_all(seconds, remaining, workers, target, least):
-    chunk = Pace(target, least).chunk(seconds, remaining, workers)
-    assert 1 <= chunk <= remaining
-    assert chunk == 1 or chunk * seconds <= target * (1 + 1e-9)
-    assert chunk <= max(1.0, math.ceil(remaining / (4 * workers)), least / seconds)
-    assert Pace(target, least).chunk(None, remaining, workers) == 1
 
 
 # --- worker processes that die
@@ -218,18 +183,6 @@ def test_what_is_done_in_the_background_is_on_disk_and_said(tmp_path, capfd):
         assert wait()
         assert wait()
     assert int((tmp_path / "number").read_text()) != os.getpid()
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize("how", ["raises", "is killed"])
-def test_work_in_the_background_that_failed_is_said_to_have(how, capfd):
-    def work() -> None:
-        if how == "raises":
-            raise ValueError("no")
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    with in_background(work) as wait:
-        assert not wait()
     assert capfd.readouterr() == ("", "")
 
 
