@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skd_evaluator.metrics.clustered import clustered_mean
+from skd_evaluator.metrics.deviation import deviation_pairs
 from skd_evaluator.metrics.measures import Measured, Pair, load_measures, pair_of
+from skd_evaluator.metrics.skd import frechet_distances, prefix_distances
 from skd_evaluator.metrics.statistics import mean, normal_interval, sample_variance
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
@@ -20,8 +22,16 @@ from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step
-MEASURES = {name: measure for name, measure in load_measures().items() if measure.unit == "m"}
-"""Distances between two ways; others have a car in them."""
+WARPED = load_measures()["warped"]
+MEASURES = {
+    "frechet": lambda phi, pairs: frechet_distances(phi, [one.psi for one in pairs]),
+    "prefix": lambda phi, pairs: prefix_distances(phi, [one.psi for one in pairs]),
+    "deviation": lambda phi, pairs: deviation_pairs(
+        phi.positions, [one.psi.positions for one in pairs], [one.duration for one in pairs]
+    ),
+    "warped": WARPED.of,
+}
+"""Distances between two trajectories."""
 PLACES = st.integers(-40, 40).map(lambda count: count / 8)
 """On a grid of eighths, where sums and doubles are exact."""
 WALKS = st.integers(2, 9).flatmap(lambda ticks: hnp.arrays(np.float64, (ticks, 2), elements=PLACES))
@@ -49,7 +59,7 @@ def worlds(draw: st.DrawFn) -> tuple[np.ndarray, list[np.ndarray], list[float]]:
 
 
 def values(name: str, one: World) -> np.ndarray:
-    return np.asarray(MEASURES[name].of(*one), np.float64)
+    return np.asarray(MEASURES[name](*one), np.float64)
 
 
 @pytest.mark.parametrize("name", MEASURES)
@@ -79,7 +89,7 @@ def test_the_order_of_pairs_changes_nothing(name, drawn, draw):
     before = values(name, world(phi, walks, shares))
     after = values(name, world(phi, [walks[k] for k in order], [shares[k] for k in order]))
     np.testing.assert_array_equal(after, before[order])
-    first, second = (Measured(MEASURES[name], (one,)).figures([np.arange(len(walks))], 0.95) for one in (before, after))
+    first, second = (Measured(WARPED, (one,)).figures([np.arange(len(walks))], 0.95) for one in (before, after))
     assert first == second
 
 
@@ -105,7 +115,7 @@ def test_a_mean_of_what_is_none_is_refused(numbers, none, place):
 def test_a_measure_without_a_value_counts_as_undefined_and_not_into_the_mean(numbers, more, draw):
     every = [*numbers, *([math.nan] * more)]
     draw.shuffle(every)
-    one = Measured(next(iter(MEASURES.values())), (np.array(every),))
+    one = Measured(WARPED, (np.array(every),))
     figures = one.figures([np.arange(len(every))], 0.95)
     assert figures["mean"] == mean(numbers)
     assert (figures["pairs"], figures["undefined"]) == (len(numbers), more)

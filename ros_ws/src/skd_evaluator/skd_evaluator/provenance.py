@@ -75,7 +75,7 @@ def code_digests(car: CarUnderTest, command: str = "", others: Iterable[str] = (
     if not paths and not car.is_own:
         return None
     paths += [path for target in others if (path := _path_of_module(target.partition(":")[0])) is not None]
-    files = {in_words(path): files_of(path) for path in dict.fromkeys(paths)}
+    files = {str(path): files_of(path) for path in dict.fromkeys(paths)}
     if any(len(found) > MOST_FILES for found in files.values()):
         return None
     return {path: digest_of(found) for path, found in files.items()}
@@ -125,11 +125,6 @@ def digest_of(files: Sequence[Path]) -> str:
             digest.update(os.fsencode(os.path.relpath(file, top)) + b"\0")
             digest.update(sha256_of(file).encode())
     return digest.hexdigest()
-
-
-def in_words(path: Path) -> str:
-    """Return a path as a text that can be written: names of files may have bytes that are no UTF-8."""
-    return os.fsencode(path).decode("utf-8", "backslashreplace")
 
 
 def _path_of_module(module: str) -> Path | None:
@@ -187,7 +182,7 @@ def provenance(command: Sequence[str], car: CarUnderTest, *, controller_command:
         "platform": platform.platform(),
         "python": platform.python_version(),
         "command": shlex.join(command),
-        "folder": in_words(Path.cwd()),
+        "folder": str(Path.cwd()),
         "git": git_revision(),
         # Without a digest: somebody has removed it meanwhile.
         "controller_files": [{"path": path, "sha256": digest} for path, digest in digests.items() if digest],

@@ -9,31 +9,21 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.figure_table import OF_OBJECTIVES, Of, entries
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
-from skd_evaluator.metrics.deviation import MeanDeviation, mean_deviation
-from skd_evaluator.metrics.measures import (
-    DEVIATION,
-    FRECHET,
-    PREFIX,
-    Measured,
-    measure_pairs,
-    pair_of,
-)
-from skd_evaluator.metrics.skd import SkdResult, kept_pairs, skd_of
+from skd_evaluator.metrics.deviation import MeanDeviation, deviation_pairs, mean_deviation
+from skd_evaluator.metrics.measures import Measured, measure_pairs, pair_of
+from skd_evaluator.metrics.skd import SkdResult, frechet_distances, kept_pairs, prefix_distances, skd_of
 from skd_evaluator.metrics.statistics import (
     Interval,
 )
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
-_GAPS, _SPARSE = 1_000_000, 100
-"""So many trials may be missing, and so many for each that is there: a folder may hold some of a campaign's bags."""
 CONFIDENCE = 0.95
 
 
@@ -215,24 +205,26 @@ def objective_result(plan: Plan, kamikaze: Sequence[KamikazeSet], confidence: fl
     deviation is over all trials, each with the deviation that it needed. SKD counts all collisions, the
     deviation only hits by the moving car.
     """
-    _check_numbers(kamikaze)
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
-    measured = measure_pairs(pairs)
-    deviations = measured[DEVIATION].values
+    psis = [[one.psi for one in mine] for _, mine in pairs]
+    far = [frechet_distances(phi, mine) for (phi, _), mine in zip(pairs, psis, strict=True)]
+    prefixes = [prefix_distances(phi, mine) for (phi, _), mine in zip(pairs, psis, strict=True)]
+    deviations = [
+        deviation_pairs(phi.positions, [one.psi.positions for one in mine], [one.duration for one in mine])
+        for phi, mine in pairs
+    ]
     trials = [_hits_of(group, distances) for group, distances in zip(kamikaze, deviations, strict=True)]
     deviation = mean_deviation(trials, eta_max=plan.scenario.eta_max, confidence=confidence)
-    far, prefixes = measured[FRECHET].values, measured[PREFIX].values
     limited = deviations if plan.limits_deviation else far
     names = [phi.name for phi, _ in pairs]
     entries = map(kept_pairs, names, far, prefixes, limited, itertools.repeat(plan.maximum_distance))
     result = skd_of(list(entries), confidence)
-    others = {name: one for name, one in measured.items() if not one.measure.headline}
     return ObjectiveResult(
         plan,
         tuple(kamikaze),
         result,
         deviation,
-        measured=others,
+        measured=measure_pairs(pairs),
         confidence=confidence,
         trial_deviations=tuple(
             _by_trial(group, distances, plan.scenario.eta_max)
@@ -245,21 +237,6 @@ def _hits_of(group: KamikazeSet, distances: FloatArray) -> tuple[FloatArray, int
     """Return the deviations on one φ with which the moving car hit, m, and how many other trials ran to their end."""
     hit = np.array([log.hit for log in group.logs], dtype=bool)
     return distances[hit], group.trials - group.aborted - int(hit.sum())
-
-
-def _check_numbers(kamikaze: Sequence[KamikazeSet]) -> None:
-    """Refuse trials of which nearly all are missing: figures are kept by their numbers, and a forged one is huge.
-
-    Raises:
-        UsageError: it is so.
-    """
-    numbers = [[split_episode_id(log.episode.episode_id)[2] for log in group.in_order] for group in kamikaze]
-    there, told = sum(map(len, numbers)), sum(max(mine, default=-1) + 1 for mine in numbers)
-    if told > _GAPS + _SPARSE * there:
-        raise UsageError(
-            f"its trials have numbers up to {max(map(max, filter(None, numbers)))}, of which {there} are there: no "
-            "campaign leaves such gaps"
-        )
 
 
 def _by_trial(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary.car_models.car_model_file import fitted_car
 from skd_adversary.crossing.model import choices
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.path import path_velocities
@@ -38,7 +37,6 @@ from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 
 from skd_evaluator.assessment.files.episodes_npz import FARTHEST, within_reach
-from skd_evaluator.assessment.plan import STAGES, Stage, follows_other_trajectory, split_episode_id
 
 ROUNDING = 1e-9
 """m, m/s, s: what another processor's rounding may change."""
@@ -266,9 +264,6 @@ LARGEST_SPEED = 100.0
 _PLACED = 5.0  # m from the start: the most that carla_bridge may be told to tolerate
 _OFF = 1.0  # m from φ that the adversary of another simulator may stray
 _SLACK = 0.05  # m
-_FASTER = 0.5  # m/s that φ may be faster than its kind, for its places are rounded
-_LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
-"""Stages in which a car was learned, by what the adversary did."""
 
 
 @dataclass(frozen=True)
@@ -291,20 +286,15 @@ class Verdict:
         return not self.fault and self.deviation <= ROUNDING
 
 
-def examine(log: EpisodeLog, *, asked: bool = False) -> Verdict:
+def examine(log: EpisodeLog) -> Verdict:
     """Recompute whatever can be recomputed of a log, and say what does not fit.
 
     A log is refused if no simulator can have given it: its states are not finite or too many, its geometry contradicts
     its outcome or impact, or a road user is faster than possible. If only SKD's own world would not have given it,
     `deviation` says by how much: logs of another simulator have one.
-
-    Args:
-        log: what is said to have happened, wherever it comes from.
-        asked: whether whoever looks has asked for this very episode: then its specification is not looked at.
     """
     try:
-        fault = ("" if asked else _specification(log.episode)) or _form(log)
-        if fault:
+        if fault := _form(log):
             return Verdict(fault)
         if not np.isfinite(log.car).all():
             return Verdict()  # one that was aborted before there was anything to record
@@ -313,30 +303,6 @@ def examine(log: EpisodeLog, *, asked: bool = False) -> Verdict:
     except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
         return Verdict(str(error))
     return Verdict(fault, found.deviation, found.where)
-
-
-def _specification(episode: EpisodeSpec) -> str:
-    """Return what in the specification no campaign would have asked for."""
-    for what, value in (("multiplier", episode.multiplier), ("maximum distance", episode.maximum_distance or 1.0)):
-        if not 0.0 <= value < math.inf:
-            return f"has the {what} {value:g}"
-    if not episode.car.exists:
-        return f"has the controller {episode.controller[:40]!r}, which is none"
-    if episode.car_model:
-        fitted_car(episode.car_model)
-    stage = split_episode_id(episode.episode_id)[0]
-    if stage not in (STAGES[episode.mode], _LEARNT_FROM.get(episode.mode)) and not follows_other_trajectory(episode):
-        return f"has the mode {episode.mode.name}, which its number does not belong to"
-    phi, scenario = episode.safe_trajectory, episode.scenario
-    if phi is not None and len(phi) > 1:
-        with np.errstate(over="ignore"):
-            pace = np.hypot(*np.diff(phi.positions, axis=0).T).max() / phi.time_step
-        user = road_user_named(scenario.adversary.kind)
-        if not pace <= user.fastest + _FASTER:
-            return f"its safe trajectory goes {pace:.3g} m/s, faster than any {user.name}"
-        if not math.isclose(phi.time_step, scenario.time_step, rel_tol=1e-9):
-            return f"its safe trajectory has a time step of {phi.time_step:g} s, its scenario {scenario.time_step:g} s"
-    return ""
 
 
 def _form(log: EpisodeLog) -> str:

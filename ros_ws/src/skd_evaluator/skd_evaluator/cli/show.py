@@ -144,8 +144,7 @@ def _measures(subject: Subject, number: int) -> dict[str, Any]:
     if len(car) < 2 or not np.isfinite(car).all():
         return {}
     course = course_of(subject.scenario, adversary, car, episodes.contact(number))
-    phi = episodes.safe[int(episodes.safe_index[number])]
-    return episode_measures(subject.scenario, course, phi, collided=collided)
+    return episode_measures(subject.scenario, course, collided=collided)
 
 
 def _said(measures: dict[str, Any]) -> str:

@@ -32,7 +32,6 @@ from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.clustered import DISTANCES, Clustered, clustered_mean
-from skd_evaluator.metrics.measures import Measure, Pair
 from skd_evaluator.metrics.statistics import Interval, mean, normal_interval
 
 _ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording may have been computed elsewhere
@@ -269,16 +268,3 @@ def mean_deviation(
         eta_max=eta_max,
         per_safe_trajectory=entries,
     )
-
-
-def _of_pairs(phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:
-    return deviation_pairs(phi.positions, [one.psi.positions for one in pairs], [one.duration for one in pairs])
-
-
-DEVIATION = Measure(
-    "deviation",
-    "m",
-    _of_pairs,
-    shown=False,
-    headline=True,
-)

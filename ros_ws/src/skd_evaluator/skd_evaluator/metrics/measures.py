@@ -1,4 +1,4 @@
-"""Measures of a pair (φ, ψ), by name: what a measure is, and its mean over the pairs of an assessment.
+"""Further measures of a pair (φ, ψ), by name: what a measure is, and its mean over the pairs of an assessment.
 
 SKD's own stand in `MEASURES`; an installed package adds one by an entry point of group `skd.measures` that leads to a
 `Measure`. Each is computed in every assessment.
@@ -21,14 +21,10 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.metrics.clustered import Prior, clustered_mean
 from skd_evaluator.metrics.statistics import mean, normal_interval
 
-FRECHET, PREFIX, DEVIATION = "frechet", "prefix", "deviation"
 MEASURES = Registry(
     "measure",
     "skd.measures",
     {
-        FRECHET: "skd_evaluator.metrics.skd:FRECHET",
-        PREFIX: "skd_evaluator.metrics.skd:PREFIX",
-        DEVIATION: "skd_evaluator.metrics.deviation:DEVIATION",
         "warped": "skd_evaluator.metrics.frechet:WARPED",
         "required_deceleration_at_entry": "skd_evaluator.metrics.contact_place:DECELERATION_AT_ENTRY",
     },
@@ -65,7 +61,6 @@ class Measure:
         unit: unit of its values; empty: none.
         of: (φ, the pairs of this φ) → one number a pair, nan where it is not defined.
         shown: whether the terminal's table has it.
-        headline: whether its figures have keys of their own in assessment.json, instead of an entry under `measures`.
         prior: what its interval over φ takes as known beforehand; nothing: Student's t.
     """
 
@@ -73,7 +68,6 @@ class Measure:
     unit: str
     of: Callable[[Trajectory, Sequence[Pair]], npt.ArrayLike]
     shown: bool = True
-    headline: bool = False
     prior: Prior | None = None
 
 

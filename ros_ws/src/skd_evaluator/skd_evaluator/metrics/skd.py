@@ -14,7 +14,6 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, Clustered, Prior, clustered_mean
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs
-from skd_evaluator.metrics.measures import Measure, Pair
 from skd_evaluator.metrics.statistics import (
     Interval,
     bound_influence,
@@ -265,15 +264,3 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 def _frozen(values: FloatArray) -> FloatArray:
     values.setflags(write=False)
     return values
-
-
-def _frechet_of(phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:
-    return frechet_distances(phi, [pair.psi for pair in pairs])
-
-
-def _prefix_of(phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:
-    return prefix_distances(phi, [pair.psi for pair in pairs])
-
-
-FRECHET = Measure("discrete Fréchet distance", "m", _frechet_of, shown=False, headline=True)
-PREFIX = Measure("prefix distance", "m", _prefix_of, shown=False, headline=True)

@@ -48,9 +48,8 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.contact import first_contact, first_contact_of_boxes, to_car_frame
+from skd_sim.world.contact import first_contact, first_contact_of_boxes
 from skd_sim.world.state import CarState, RoadUserState
 
 from skd_evaluator.metrics.statistics import Interval
@@ -138,13 +137,12 @@ def _measures(
     return {name: np.where(np.isfinite(found[name]), found[name], math.nan) for name in SURROGATE_MEASURES}
 
 
-def episode_measures(scenario: Scenario, course: EpisodeMotion, phi: FloatArray, *, collided: bool) -> dict[str, Any]:
+def episode_measures(scenario: Scenario, course: EpisodeMotion, *, collided: bool) -> dict[str, Any]:
     """Return the measures of an episode, as plain data: None for what is not defined, or never came about.
 
     Args:
         scenario: road, shapes, kind of the adversary, and the deceleration that the car has.
         course: how the episode went.
-        phi: φ at ticks, m, along which the adversary is predicted to go on.
         collided: whether car and adversary touched at its end.
     """
     whole = scenes_of(scenario, [course])
@@ -154,7 +152,6 @@ def episode_measures(scenario: Scenario, course: EpisodeMotion, phi: FloatArray,
     over = {
         "clearance": clearances(scene),
         "time_to_collision": collision_times(scene),
-        "path_time_to_collision": path_collision_times(scene, scenario, phi),
         "required_deceleration": required_decelerations(scene),
         "brake_threat_number": brake_threat_numbers(scene, scenario.car.deceleration),
         "headway": headways(scene),
@@ -163,7 +160,6 @@ def episode_measures(scenario: Scenario, course: EpisodeMotion, phi: FloatArray,
     risk = None if plain["fatality_risk"] is None else fatality_risk(float(found["closing_speed"][0]))
     return {
         **plain,
-        "path_time_to_collision": _plain(float(over["path_time_to_collision"].min())),
         "fatality_risk_interval": risk and list(risk.interval),
         "over_time": {
             "time": np.round(scene.times, 6).tolist(),
@@ -290,35 +286,6 @@ def collision_times(scene: Interaction) -> FloatArray:
     drift = scene.moving - np.column_stack([scene.car[:, 3], np.zeros(len(scene))])
     after = scene.seen + HORIZON * drift
     return np.asarray(HORIZON * _shares(scene.seen, after, scene.turned_from_car, scene.footprint, scene.shape))
-
-
-def path_collision_times(scene: Interaction, scenario: Scenario, phi: FloatArray) -> FloatArray:
-    """Return the time to collision along predicted paths at each moment, n, s; infinite where they do not lead to one.
-
-    The car goes on along its lane at the speed that it has; the other does what φ does from this moment on, from where
-    it is, and stands after the end of φ. A box keeps its heading.
-
-    Args:
-        scene: of an episode in this scenario, from its start.
-        scenario: the lane, and the duration of a tick.
-        phi: φ at ticks, m.
-    """
-    line, step = scenario.road.line, scenario.time_step
-    along = right_and_along(line, np.ascontiguousarray(scene.car[:, :2]))[:, 1]
-    ticks = step * np.arange(len(phi))
-    later = step * np.arange(math.ceil(HORIZON / step) + 1)
-    found = np.full(len(scene), math.inf)
-    for index, now in enumerate(scene.times.tolist()):
-        walked = np.column_stack([np.interp(now + later, ticks, column) for column in phi.T])
-        places = (scene.other[index] + walked - walked[0]).tolist()
-        way = [road_pose(line, float(along[index] + scene.car[index, 3] * ahead)) for ahead in later.tolist()]
-        seen = np.array([to_car_frame(x, y, *pose) for (x, y), pose in zip(places, way, strict=True)])
-        turned = np.full(len(seen) - 1, scene.turned_from_car[index])
-        shares = _shares(seen[:-1], seen[1:], turned, scene.footprint, scene.shape)
-        (parts,) = np.nonzero(shares <= 1.0)
-        if parts.size:
-            found[index] = (parts[0] + shares[parts[0]]) * step
-    return found
 
 
 @kernel

@@ -61,7 +61,7 @@ def run_episode(
 
 def _examined(log: EpisodeLog) -> EpisodeLog:
     """Return the log of another simulator, or, where it cannot have happened, that of an episode that was aborted."""
-    fault = examine(log, asked=True).fault
+    fault = examine(log).fault
     if not fault:
         return log
     said = f"simulator {log.episode.simulator} gave what cannot have happened: {fault}"
