@@ -78,8 +78,8 @@ def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProces
     line: dict[str, Any] = {"multiplier": multiplier, "objective": arguments.objective, "family": fitted.chosen}
     for name, text in (("true", ""), ("fitted", car_model_text(fitted))):
         sets = kamikaze_sets(replace(plan, car_model=text), safe, runner)
-        result = compute_skd([(one.safe_trajectory, [log.trajectory for log in one.logs]) for one in sets])
-        line[name] = {"skd": result.skd, "skd_ci95_pairs": result.skd_ci95_pairs, "pairs": result.pairs}
+        found = compute_skd([(one.safe_trajectory, [log.trajectory for log in one.logs]) for one in sets]).distances
+        line[name] = {"skd": found.mean, "skd_ci95_pairs": found.plain_interval, "pairs": found.values.size}
     line["ratio"] = line["fitted"]["skd"] / line["true"]["skd"]
     return line
 

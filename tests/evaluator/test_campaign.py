@@ -231,7 +231,7 @@ def test_all_is_recomputable_from_disk(tmp_path, discard):
         safe = safe_trajectories(SMALL, runner)
         found = rated(SMALL, safe, runner)
         if discard:
-            maximum = float(np.median(found.for_skd.skd.distances))
+            maximum = float(np.median(found.for_skd.skd.distances.values))
             found = rated(replace(SMALL, maximum_distance=maximum), safe, runner)
     write_assessment(tmp_path, found)
     result = json.loads((tmp_path / "assessment.json").read_text())

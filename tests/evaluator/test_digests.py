@@ -139,7 +139,7 @@ def digest_of(name: str) -> str:
         for key in sorted(arrays):
             array = arrays[key]
             digest.update(f"{key} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-    skd = assessment.results[0].skd.skd
+    skd = assessment.results[0].skd.distances.mean
     return f"{digest.hexdigest()[:32]} {'none' if skd is None else skd.hex()}"
 
 

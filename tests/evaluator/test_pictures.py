@@ -233,9 +233,10 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
     panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert "4 of 4 aborted" in panels[0].get_title()
-    (one,) = [row for row in what.deviation.per_safe_trajectory if row.distances.size]
-    assert f"planned {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
-    assert f"planned deviation {what.deviation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
+    (one,) = [row for row, hits in zip(what.deviation.means, what.of_successes.groups, strict=True) if hits.size]
+    skd = what.skd.distances.mean
+    assert f"planned {one:.2f} m, SKD {skd:.2f} m, 3 failed" in panels[1].get_title()
+    assert f"planned deviation {what.deviation.mean:.2f} m, SKD {skd:.2f} m" in figures[0].get_suptitle()
     draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)
 

@@ -122,8 +122,8 @@ def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
     """The stub's ψ is one of deviation 1.8 m and of another Fréchet distance."""
     runner = StubRunner(lambda _episode: Outcome.COLLISION)
     free = rate(PLAN, (DEVIATION, PAPER), [straight()], runner)
-    needed = free.for_deviation.deviation.distances.max()
-    distance = free.for_skd.skd.distances.max()
+    needed = free.for_deviation.of_successes.values.max()
+    distance = free.for_skd.skd.distances.values.max()
     assert needed < distance
     between = 0.5 * (needed + distance)
     found = rate(replace(PLAN, maximum_distance=between), (DEVIATION, PAPER), [straight()], runner)

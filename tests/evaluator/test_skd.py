@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
 from skd_evaluator.metrics.frechet import discrete_frechet
-from skd_evaluator.metrics.skd import bound_interval, compute_skd, kept_pairs
+from skd_evaluator.metrics.skd import bound_interval, compute_skd
 from skd_evaluator.metrics.statistics import frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
 from skd_sim.world.state import Trajectory
@@ -39,100 +39,78 @@ def random_pairs(seed: int = 0, safe: int = 4, kamikazes: int = 15):
 
 
 def test_parallel_paths_by_hand():
-    phi = crossing(9, name="straight")
-    result = compute_skd([(phi, [crossing(9, 1.0), crossing(9, 2.0), crossing(9, 3.0)])])
-    assert result.skd == 2.0
-    assert result.variance == 1.0
-    assert result.pairs == 3
-    assert result.skd_ci95_pairs == pytest.approx((2 - 1.959964 / math.sqrt(3), 2 + 1.959964 / math.sqrt(3)), abs=1e-6)
-    assert result.skd_ci95 is None  # one φ says nothing about how φ differ
-    assert result.skd_prefix == 2.0
-    assert result.discarded_by_distance == 0
-    (row,) = result.per_safe_trajectory
-    assert (row.name, row.pairs, row.mean_distance, row.mean_prefix_distance) == ("straight", 3, 2.0, 2.0)
+    found = compute_skd([(crossing(9), [crossing(9, 1.0), crossing(9, 2.0), crossing(9, 3.0)])])
+    skd = found.distances
+    assert (skd.mean, skd.variance, skd.values.size) == (2.0, 1.0, 3)
+    assert skd.plain_interval == pytest.approx((2 - 1.959964 / math.sqrt(3), 2 + 1.959964 / math.sqrt(3)), abs=1e-6)
+    assert skd.interval is None  # one φ says nothing about how φ differ
+    assert (found.prefixes.mean, found.discarded) == (2.0, 0)
+    assert skd.means == found.prefixes.means == [2.0]
 
 
 def test_the_end_of_phi_is_a_floor_under_the_distance_and_not_under_the_prefix_distance():
     phi = crossing(11)
     hit_early = crossing(5, 0.5)  # ends after 4 steps, 3 m along; φ goes on to 7.5 m
-    result = compute_skd([(phi, [hit_early])])
-    assert result.skd == pytest.approx(math.hypot(4.5, 0.5))
-    assert result.skd_prefix == 0.5
-    cut = phi.prefix(len(hit_early))
-    assert cut.duration == hit_early.duration
+    found = compute_skd([(phi, [hit_early])])
+    assert found.distances.mean == pytest.approx(math.hypot(4.5, 0.5))
+    assert found.prefixes.mean == 0.5
+    assert phi.prefix(len(hit_early)).duration == hit_early.duration
 
 
 def test_kamikaze_longer_than_phi_meets_all_of_phi():
     phi, psi = crossing(4), crossing(9, 1.0)
-    result = compute_skd([(phi, [psi])])
-    assert result.skd == result.skd_prefix == discrete_frechet(phi.positions, psi.positions)
+    found = compute_skd([(phi, [psi])])
+    assert found.distances.mean == found.prefixes.mean == discrete_frechet(phi.positions, psi.positions)
 
 
 def test_equals_the_definitions_pair_by_pair():
     pairs = random_pairs()
-    result = compute_skd(pairs)
+    found = compute_skd(pairs)
     groups = [[discrete_frechet(phi.positions, psi.positions) for psi in psis] for phi, psis in pairs]
-    every = [value for group in groups for value in group]
     prefixes = [discrete_frechet(phi.prefix(len(psi)).positions, psi.positions) for phi, psis in pairs for psi in psis]
-    assert result.distances.tolist() == every
-    assert result.prefix_distances.tolist() == prefixes
-    assert result.skd == pytest.approx(np.mean(every), rel=1e-14)
-    assert result.skd_prefix == pytest.approx(np.mean(prefixes), rel=1e-14)
-    assert result.variance == pytest.approx(np.var(every, ddof=1), rel=1e-12)
-    assert result.skd_ci95_pairs == normal_interval(every)
-    assert result.skd_prefix_ci95_pairs == normal_interval(prefixes)
-    assert result.clustered == clustered_mean(groups, prior=DISTANCES, limits=(0.0, math.inf))
-    assert result.skd_ci95 == result.clustered.interval
-    assert result.prefix_clustered.value == result.skd_prefix
-    assert [row.name for row in result.per_safe_trajectory] == ["φ0", "φ1", "φ2", "φ3"]
-    assert [row.pairs for row in result.per_safe_trajectory] == [15, 16, 17, 18]
+    every = [value for group in groups for value in group]
+    for part, values in ((found.distances, every), (found.prefixes, prefixes)):
+        assert part.values.tolist() == values
+        assert part.mean == pytest.approx(np.mean(values), rel=1e-14)
+        assert part.variance == pytest.approx(np.var(values, ddof=1), rel=1e-12)
+        assert part.plain_interval == normal_interval(values)
+        assert [len(rows) for rows in part.groups] == [15, 16, 17, 18]
+    assert found.distances.clustered == clustered_mean(groups, prior=DISTANCES, limits=(0.0, math.inf))
+    assert found.distances.interval == found.distances.clustered.interval
 
 
 def test_maximum_distance_leaves_out_and_counts():
     phi = crossing(9)
     psis = [crossing(9, 1.0), crossing(9, 5.0), crossing(9, 2.0), crossing(9, 2.5)]
-    result = compute_skd([(phi, psis), (phi, [crossing(9, 9.0)])], maximum_distance=2.0)
-    assert result.skd == 1.5  # a pair exactly at the maximum stays
-    assert result.pairs == 2
-    assert result.discarded_by_distance == 3
-    near, far = result.per_safe_trajectory
-    assert near.kept.tolist() == [0, 2]
-    assert near.discarded_by_distance == 2
-    assert (far.pairs, far.mean_distance, far.discarded_by_distance) == (0, None, 1)
+    found = compute_skd([(phi, psis), (phi, [crossing(9, 9.0)])], maximum_distance=2.0)
+    assert found.distances.mean == 1.5  # a pair exactly at the maximum stays
+    assert [rows.tolist() for rows in found.kept] == [[0, 2], []]
+    assert (found.discarded, found.distances.means) == (3, [1.5, None])
 
 
 def test_the_maximum_may_be_of_another_distance():
     """What is left out is decided by that one; the distances of the rest are as they are."""
-    kept = kept_pairs("φ", np.array([1.0, 5.0]), np.array([0.5, 4.0]), np.array([2.5, 2.0]), 2.0)
-    assert kept.kept.tolist() == [1]
-    assert (kept.distances.tolist(), kept.prefix_distances.tolist()) == ([5.0], [4.0])
-    assert kept.discarded_by_distance == 1
+    pairs = [(crossing(9), [crossing(9, 1.0), crossing(9, 5.0)])]
+    found = compute_skd(pairs, limited=[np.array([2.5, 2.0])], maximum_distance=2.0)
+    assert found.kept[0].tolist() == [1]
+    assert found.distances.values.tolist() == found.prefixes.values.tolist() == [5.0]
+    assert found.discarded == 1
 
 
 @pytest.mark.parametrize("pairs", [[], [(crossing(5), [])], [(crossing(5), []), (crossing(6), [])]])
 def test_no_kamikaze_found_is_none_everywhere(pairs):
-    result = compute_skd(pairs)
-    assert result.skd is None
-    assert result.skd_prefix is None
-    assert result.skd_ci95_pairs is None
-    assert result.skd_ci95 is None
-    assert result.skd_prefix_ci95_pairs is None
-    assert result.variance is None
-    assert result.pairs == 0
-    assert result.distances.shape == (0,)
-    assert len(result.per_safe_trajectory) == len(pairs)
-    with pytest.raises(ValueError, match="two pairs"):
-        result.bound(0.1)
+    found = compute_skd(pairs)
+    for part in (found.distances, found.prefixes):
+        assert (part.mean, part.variance, part.plain_interval, part.interval) == (None,) * 4
+        assert part.values.shape == (0,)
+        assert len(part.groups) == len(pairs)
 
 
-def test_bound_is_theorem_1_and_holds_for_its_own_sample():
-    result = compute_skd(random_pairs(2))
+def test_the_bound_holds_for_its_own_sample():
+    skd = compute_skd(random_pairs(2)).distances
     for share in (0.05, 0.2, 0.5, 0.8, 0.99):
-        eta = share * result.skd
-        assert result.bound(eta) == frechet_probability_bound(eta, result.skd, result.variance)
-        assert np.mean(result.distances <= eta) <= result.bound(eta)
-    with pytest.raises(ValueError, match="η"):
-        result.bound(result.skd)
+        eta = share * skd.mean
+        assert np.mean(skd.values <= eta) <= frechet_probability_bound(eta, skd.mean, skd.variance)
 
 
 def test_other_time_step_is_refused_by_name():

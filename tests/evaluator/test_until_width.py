@@ -54,7 +54,7 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     one, other = found.as_dict(), at_once.as_dict()
     for name in ("deviation", "deviation_ci95_trials", "contact_rate", "contact_rate_ci95_runs", "safe"):
         assert one[name] == other[name]
-    groups = [row.restricted for row in found.for_deviation.deviation.per_safe_trajectory]
+    groups = found.for_deviation.deviation.groups
     for count, at_look in stop.looks:
         expected = clustered_mean(groups[:count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0))
         assert at_look == expected

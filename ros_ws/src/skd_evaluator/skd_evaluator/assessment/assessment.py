@@ -183,8 +183,7 @@ class Assessment:
     @property
     def vulnerability(self) -> Vulnerability | None:
         """The vulnerability curves, of margins and of planned kamikazes; None without a trial."""
-        deviation = self.for_deviation.deviation
-        planned = vulnerability_curve([row.restricted for row in deviation.per_safe_trajectory], deviation.eta_max)
+        planned = vulnerability_curve(self.for_deviation.deviation.groups, self.plan.scenario.eta_max)
         if planned is None:
             return None
         return Vulnerability(planned, self.budgets, None if self.margins is None else self.margins.curve)

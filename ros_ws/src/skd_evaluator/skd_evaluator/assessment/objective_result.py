@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,13 +13,11 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.figure_table import OF_OBJECTIVES, Of, entries
 from skd_evaluator.assessment.plan import Plan, split_episode_id
-from skd_evaluator.metrics.clustered import Clustered, clustered_rate
-from skd_evaluator.metrics.deviation import MeanDeviation, deviation_pairs, mean_deviation
+from skd_evaluator.metrics.clustered import Clustered, GroupedMean, clustered_rate
+from skd_evaluator.metrics.deviation import deviation_pairs, mean_deviation
 from skd_evaluator.metrics.measures import Measured, measure_pairs, pair_of
-from skd_evaluator.metrics.skd import SkdResult, frechet_distances, kept_pairs, prefix_distances, skd_of
-from skd_evaluator.metrics.statistics import (
-    Interval,
-)
+from skd_evaluator.metrics.skd import Skd, bound_interval, compute_skd
+from skd_evaluator.metrics.statistics import Interval, frechet_probability_bound
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
@@ -86,7 +83,8 @@ class ObjectiveResult:
         plan: what was assessed.
         kamikaze: Ψ(φ) per φ.
         skd: discrete Fréchet distances of all pairs.
-        deviation: deviations of all trials.
+        deviation: what each trial counts as in the mean deviation, by φ, m.
+        of_successes: deviations of the trials that hit, by φ, m.
         trial_deviations: for each φ, what each trial counts as in the mean deviation, in the order of the
             trials, m; nan: it was aborted, or not run.
         measured: the further measures of all pairs, by name.
@@ -95,8 +93,9 @@ class ObjectiveResult:
 
     plan: Plan
     kamikaze: tuple[KamikazeSet, ...]
-    skd: SkdResult
-    deviation: MeanDeviation
+    skd: Skd
+    deviation: GroupedMean
+    of_successes: GroupedMean
     trial_deviations: tuple[FloatArray, ...] = ()
     measured: Mapping[str, Measured] = field(default_factory=dict)
     confidence: float = CONFIDENCE
@@ -134,21 +133,22 @@ class ObjectiveResult:
 
     def bounds(self) -> dict[str, float]:
         """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
-        skd = self.skd.skd
-        if skd is None or self.skd.variance is None:
+        mean, variance = self.skd.distances.mean, self.skd.distances.variance
+        if mean is None or variance is None:
             return {}
-        return {f"{eta:g}": self.skd.bound(eta) for eta in BOUND_ETAS if eta < skd}
+        return {f"{eta:g}": frechet_probability_bound(eta, mean, variance) for eta in BOUND_ETAS if eta < mean}
 
     def bound_intervals(self) -> dict[str, Interval | None]:
         """Return η → the interval over φ of the bound, for the η of `bounds`."""
-        return {name: self.skd.bound_interval(float(name), self.confidence) for name in self.bounds()}
+        groups = self.skd.distances.groups
+        return {name: bound_interval(groups, float(name), self.confidence) for name in self.bounds()}
 
     def clustering(self) -> dict[str, Any]:
         """Return what is known of the error over φ of each figure, by its name."""
         found = {
             "deviation": self.deviation.clustered,
-            "skd": self.skd.clustered,
-            "skd_prefix": self.skd.prefix_clustered,
+            "skd": self.skd.distances.clustered,
+            "skd_prefix": self.skd.prefixes.clustered,
             "success_rate": self.clustered_success_rate,
         }
         return {name: one and one.as_dict() for name, one in found.items()}
@@ -169,31 +169,33 @@ class ObjectiveResult:
 
     def measure_figures(self) -> dict[str, Any]:
         """Return the figures of the further measures, by name."""
-        kept = [row.kept for row in self.skd.per_safe_trajectory]
-        return {name: one.figures(kept, self.confidence) for name, one in self.measured.items()}
+        return {name: one.figures(self.skd.kept, self.confidence) for name, one in self.measured.items()}
 
     def per_safe_trajectory(self) -> list[dict[str, Any]]:
         """Return the figures of these kamikazes for each φ."""
         rows = zip(
             self.kamikaze,
             self.successes_by_phi,
-            self.skd.per_safe_trajectory,
-            self.deviation.per_safe_trajectory,
+            self.deviation.means,
+            self.of_successes.means,
+            self.skd.distances.means,
+            self.skd.prefixes.means,
+            self.skd.kept,
             strict=True,
         )
         return [
             {
-                "name": distances.name,
-                "deviation": deviations.mean,
-                "deviation_of_successes": deviations.mean_of_successes,
-                "skd": distances.mean_distance,
-                "skd_prefix": distances.mean_prefix_distance,
-                "pairs": distances.pairs,
+                "name": kamikaze.safe_trajectory.name,
+                "deviation": deviation,
+                "deviation_of_successes": of_successes,
+                "skd": distance,
+                "skd_prefix": prefix,
+                "pairs": len(kept),
                 "trials": kamikaze.trials,
                 "failed": kamikaze.trials - kamikaze.aborted - successes,
                 "aborted": kamikaze.aborted,
             }
-            for kamikaze, successes, distances, deviations in rows
+            for kamikaze, successes, deviation, of_successes, distance, prefix, kept in rows
         ]
 
 
@@ -206,29 +208,28 @@ def objective_result(plan: Plan, kamikaze: Sequence[KamikazeSet], confidence: fl
     deviation only hits by the moving car.
     """
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
-    psis = [[one.psi for one in mine] for _, mine in pairs]
-    far = [frechet_distances(phi, mine) for (phi, _), mine in zip(pairs, psis, strict=True)]
-    prefixes = [prefix_distances(phi, mine) for (phi, _), mine in zip(pairs, psis, strict=True)]
     deviations = [
         deviation_pairs(phi.positions, [one.psi.positions for one in mine], [one.duration for one in mine])
         for phi, mine in pairs
     ]
     trials = [_hits_of(group, distances) for group, distances in zip(kamikaze, deviations, strict=True)]
-    deviation = mean_deviation(trials, eta_max=plan.scenario.eta_max, confidence=confidence)
-    limited = deviations if plan.limits_deviation else far
-    names = [phi.name for phi, _ in pairs]
-    entries = map(kept_pairs, names, far, prefixes, limited, itertools.repeat(plan.maximum_distance))
-    result = skd_of(list(entries), confidence)
+    eta_max = plan.scenario.eta_max
+    deviation, of_successes = mean_deviation(trials, eta_max=eta_max, confidence=confidence)
     return ObjectiveResult(
         plan,
         tuple(kamikaze),
-        result,
+        compute_skd(
+            [(phi, [one.psi for one in mine]) for phi, mine in pairs],
+            limited=deviations if plan.limits_deviation else None,
+            maximum_distance=plan.maximum_distance,
+            confidence=confidence,
+        ),
         deviation,
+        of_successes,
         measured=measure_pairs(pairs),
         confidence=confidence,
         trial_deviations=tuple(
-            _by_trial(group, distances, plan.scenario.eta_max)
-            for group, distances in zip(kamikaze, deviations, strict=True)
+            _by_trial(group, distances, eta_max) for group, distances in zip(kamikaze, deviations, strict=True)
         ),
     )
 

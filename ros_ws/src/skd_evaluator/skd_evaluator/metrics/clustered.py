@@ -40,7 +40,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,15 @@ import numpy.typing as npt
 import scipy
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.metrics.statistics import Interval, checked_confidence, mean, plain_numbers, score_interval
+from skd_evaluator.metrics.statistics import (
+    Interval,
+    checked_confidence,
+    mean,
+    normal_interval,
+    plain_numbers,
+    sample_variance,
+    score_interval,
+)
 
 FEW = 5
 """Safe trajectories below which an interval over them is called one of few: Student's quantile then grows fast."""
@@ -277,6 +285,58 @@ def clustered_rate(counts: Sequence[tuple[int, int]], confidence: float = 0.95) 
         elif effective > SUSPICIOUS * every:
             notes.append("the φ agree more than chance within them lets expect: the interval is narrow by luck")
     return Clustered(rate, interval, error, freedom, len(filled), every, components, tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class GroupedMean:
+    """The mean of values that come by φ, with its intervals. What cannot be computed is None, never 0 or NaN.
+
+    Attributes:
+        groups: the values of each φ; a φ may have none.
+        prior: what its interval over φ takes as known beforehand; None: Student's t.
+        limits: numbers between which every value lies.
+        confidence: confidence of the interval over φ; that over values has 95 %.
+    """
+
+    groups: tuple[FloatArray, ...]
+    prior: Prior | None = None
+    limits: Interval = (0.0, math.inf)
+    confidence: float = 0.95
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """All values, φ by φ."""
+        return np.concatenate([np.empty(0), *self.groups])
+
+    @property
+    def means(self) -> list[float | None]:
+        """Mean of each φ; None without a value."""
+        return [mean(one) if one.size else None for one in self.groups]
+
+    @property
+    def mean(self) -> float | None:
+        """Mean over all values; None without any."""
+        return mean(self.values) if self.values.size else None
+
+    @property
+    def variance(self) -> float | None:
+        """Sample variance of the values; None below two."""
+        return sample_variance(self.values)
+
+    @property
+    def plain_interval(self) -> Interval | None:
+        """The paper's normal 95 % interval, values taken as independent; None below two values."""
+        return normal_interval(self.values)
+
+    @cached_property
+    def clustered(self) -> Clustered | None:
+        """The mean with what its error over φ is; None without a value."""
+        return clustered_mean(self.groups, self.confidence, prior=self.prior, limits=self.limits)
+
+    @property
+    def interval(self) -> Interval | None:
+        """Interval of the mean over φ; None where fewer than two φ have values."""
+        return self.clustered.interval if self.clustered else None
 
 
 FREEDOM = 3.0

@@ -31,8 +31,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.metrics.clustered import DISTANCES, Clustered, clustered_mean
-from skd_evaluator.metrics.statistics import Interval, mean, normal_interval
+from skd_evaluator.metrics.clustered import DISTANCES, GroupedMean
 
 _ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording may have been computed elsewhere
 
@@ -162,109 +161,26 @@ def hit_of(phi: FloatArray, log: EpisodeLog) -> Hit:
     return Hit(deviation(phi, path.positions, duration), path, duration, log.impact_speed)
 
 
-@dataclass(frozen=True, eq=False)
-class SafeTrajectoryDeviation:
-    """What the trials on one φ needed.
-
-    Attributes:
-        distances: deviation of each trial that hit, m.
-        failed: number of trials that ran to their end without a hit.
-        eta_max: η_max, m: what a trial counts as that failed.
-    """
-
-    distances: FloatArray
-    failed: int
-    eta_max: float
-
-    @property
-    def trials(self) -> int:
-        """Number of trials."""
-        return int(self.distances.size) + self.failed
-
-    @property
-    def restricted(self) -> FloatArray:
-        """What each trial counts as, those that collided first, m."""
-        return np.concatenate([np.minimum(self.distances, self.eta_max), np.full(self.failed, self.eta_max)])
-
-    @property
-    def mean(self) -> float | None:
-        """Restricted mean, m; None without a trial."""
-        return mean(self.restricted) if self.trials else None
-
-    @property
-    def mean_of_successes(self) -> float | None:
-        """Mean over the trials that collided, m; None where none did."""
-        return mean(self.distances) if self.distances.size else None
-
-
-@dataclass(frozen=True, eq=False)
-class MeanDeviation:
-    """The mean deviation and what is reported with it. What cannot be computed is None.
-
-    Attributes:
-        mean: restricted mean over all trials, m; None without a trial.
-        ci95: normal 95 % interval over trials, m; None with fewer than two.
-        clustered: the same mean with what its error over φ is, m; None without a trial.
-        of_successes: mean over the trials that collided, m.
-        of_successes_ci95: normal 95 % interval of the mean over successes, m.
-        eta_max: η_max, m: what a trial counts as that failed.
-        per_safe_trajectory: one entry for each φ, in the order given.
-    """
-
-    mean: float | None
-    ci95: Interval | None
-    clustered: Clustered | None
-    of_successes: float | None
-    of_successes_ci95: Interval | None
-    eta_max: float
-    per_safe_trajectory: tuple[SafeTrajectoryDeviation, ...]
-
-    @property
-    def ci95_clustered(self) -> Interval | None:
-        """Interval of the mean over φ, m; None where fewer than two φ have trials."""
-        return self.clustered.interval if self.clustered else None
-
-    @property
-    def distances(self) -> FloatArray:
-        """Deviation of every trial that collided, φ by φ, m."""
-        return np.concatenate([np.empty(0), *(entry.distances for entry in self.per_safe_trajectory)])
-
-    @property
-    def restricted(self) -> FloatArray:
-        """What every trial counts as, φ by φ, m."""
-        return np.concatenate([np.empty(0), *(entry.restricted for entry in self.per_safe_trajectory)])
-
-    @property
-    def trials(self) -> int:
-        """Number of trials."""
-        return sum(entry.trials for entry in self.per_safe_trajectory)
-
-
 def mean_deviation(
     trials_by_phi: Iterable[tuple[FloatArray, int]], *, eta_max: float, confidence: float = 0.95
-) -> MeanDeviation:
-    """Compute the mean deviation of trials on safe trajectories.
+) -> tuple[GroupedMean, GroupedMean]:
+    """Return the restricted mean deviation over all trials, and the mean over those that hit, m.
 
     Args:
         trials_by_phi: for each φ the deviation of each trial that hit, m, and how many ran to their end without a hit.
-        eta_max: η_max, m, > 0.
-        confidence: confidence of the interval over φ; intervals over trials have 95 %.
+        eta_max: η_max, m, > 0: what a trial counts as that failed, or that needed more.
+        confidence: confidence of the interval over φ.
 
     Raises:
         ValueError: η_max is not positive.
     """
     if not eta_max > 0.0:
         raise ValueError(f"eta_max must be positive, got {eta_max}")
-    entries = tuple(SafeTrajectoryDeviation(distances, failed, eta_max) for distances, failed in trials_by_phi)
-    groups = [entry.restricted for entry in entries]
-    counting = np.concatenate([np.empty(0), *groups])
-    collided = np.concatenate([np.empty(0), *(entry.distances for entry in entries)])
-    return MeanDeviation(
-        mean=mean(counting) if counting.size else None,
-        ci95=normal_interval(counting),
-        clustered=clustered_mean(groups, confidence, prior=DISTANCES, limits=(0.0, eta_max)),
-        of_successes=mean(collided) if collided.size else None,
-        of_successes_ci95=normal_interval(collided),
-        eta_max=eta_max,
-        per_safe_trajectory=entries,
+    trials = list(trials_by_phi)
+    restricted = (
+        np.concatenate([np.minimum(distances, eta_max), np.full(failed, eta_max)]) for distances, failed in trials
+    )
+    return (
+        GroupedMean(tuple(restricted), DISTANCES, (0.0, eta_max), confidence),
+        GroupedMean(tuple(distances for distances, _ in trials), DISTANCES, confidence=confidence),
     )

@@ -84,8 +84,8 @@ def _panel_figure(rating: Assessment, assessment: ObjectiveResult, number: int) 
     if not group.logs:
         lost = f"{group.aborted} of {group.trials} aborted" if group.aborted else "no kamikaze"
         return ", ".join(filter(None, [_figures(rating, assessment, None, None, margin), lost]))
-    deviation = assessment.deviation.per_safe_trajectory[number].mean
-    skd = assessment.skd.per_safe_trajectory[number].mean_distance
+    deviation = assessment.deviation.means[number]
+    skd = assessment.skd.distances.means[number]
     figures = _figures(rating, assessment, deviation, skd, margin)
     failed = group.trials - group.aborted - assessment.successes_by_phi[number]
     return f"{figures}, {failed} failed" if failed else figures
@@ -96,7 +96,7 @@ def _heading(rating: Assessment, assessment: ObjectiveResult) -> str:
     plan = assessment.plan
     car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
     margin = None if rating.margins is None else rating.margins.mean
-    figures = _figures(rating, assessment, assessment.deviation.mean, assessment.skd.skd, margin)
+    figures = _figures(rating, assessment, assessment.deviation.mean, assessment.skd.distances.mean, margin)
     explained = figures.replace("planned ", "planned deviation ", 1)
     found = f"{car}: {explained or 'no kamikaze'} (kamikazes of objective {plan.objective})"
     return f"{found}\n{_intervals(rating, assessment)}" if figures else found
@@ -107,8 +107,8 @@ def _intervals(rating: Assessment, assessment: ObjectiveResult) -> str:
     own = _figures(rating, assessment, 0.0, 0.0, 0.0)
     known = (
         ("margin", None if rating.margins is None else rating.margins.ci95),
-        ("planned", assessment.deviation.ci95_clustered),
-        ("SKD", assessment.skd.skd_ci95),
+        ("planned", assessment.deviation.interval),
+        ("SKD", assessment.skd.distances.interval),
     )
     parts = [f"{name} {ends[0]:.2f} to {ends[1]:.2f} m" for name, ends in known if name in own and ends is not None]
     sure = f"95 % by φ: {', '.join(parts)}; " if parts else ""

@@ -29,9 +29,9 @@ from skd_evaluator.report.terminal import car_name
 def undefined(rating: Assessment) -> str | None:
     """Return why SKD is not defined, in one line; None if it is."""
     assessment = rating.for_skd
-    if assessment.skd.skd is not None:
+    if assessment.skd.distances.mean is not None:
         return None
-    discarded = assessment.skd.discarded_by_distance
+    discarded = assessment.skd.discarded
     why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
     if assessment.reasons and not assessment.trials:
         why = f"every kamikaze episode was aborted ({most_frequent(assessment.reasons)})"
