@@ -127,24 +127,6 @@ def test_tyres_on_two_roads_have_no_verdict_and_a_car_without_tyres_has_one_with
     assert compare(dry, basic).lines() == []
 
 
-@pytest.mark.parametrize(
-    ("changes", "why"),
-    [
-        ({"seed": 1}, "of different seeds: "),
-        ({"scenario": scenario_of(car={"width": 2.0})}, "made where car.width is 1.8 and 2.0: "),
-        ({"version": "2"}, "made by different versions of SKD: "),
-        ({}, "though of one seed and one scenario: "),
-    ],
-)
-def test_why_synthetic_phi_are_others(changes: dict[str, Any], why: str) -> None:
-    """*Of different seeds* was said of the same seed, too."""
-    elsewhere = [phi + 0.5 for phi in PHI]
-    found = compare(result("a", values(1)), result("b", values(2), elsewhere, **changes))
-    assert found.lines()[0].startswith(f"a and b are of different φ, {why}compared as two samples")
-    unlike = compare(result("a", values(1)), result("b", values(2), elsewhere, eta_max=4.0, **changes))
-    assert [line for line in unlike.lines() if "two samples" in line] == []
-
-
 def test_two_simulators_are_named_beside_the_verdict() -> None:
     elsewhere = result("b", values(1, shift=1.0), options={"simulator": "metadrive"})
     (line,) = compare(result("a", values(1), options={}), elsewhere).lines()

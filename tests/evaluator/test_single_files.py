@@ -44,10 +44,8 @@ def no_files(here: Path) -> Iterator[Path]:
 @pytest.mark.parametrize(
     "words",
     [
-        *(["assess", *SMALL, "--out", "out", option] for option in ("--junit", "--markdown")),
-        ["replay", "recorded", "--out", "out", "--junit"],
+        ["assess", *SMALL, "--out", "out", "--junit"],
         ["report", "recorded", "--overwrite", "--out"],
-        ["scenarios", "campaign", "cpna", "--speeds", "20:20:10", "--overwrite", "--out"],
     ],
     ids=lambda words: f"{words[0]} {words[-1]}",
 )

@@ -42,8 +42,7 @@ def check_file(path: Path, option: str, *, overwrite: bool = True) -> None:
         overwrite: whether a file that is there may be replaced.
 
     Raises:
-        UsageError: it is a folder, a device, a pipe or a socket, or leads to one; what is printed goes there; or it is
-            there already.
+        UsageError: it is a folder, a device, a pipe or a socket, or leads to one, or it is there already.
     """
     try:
         found = path.stat()
@@ -55,17 +54,8 @@ def check_file(path: Path, option: str, *, overwrite: bool = True) -> None:
         raise UsageError(f"{option} {path}: is a folder; give the name of a file")
     if not stat.S_ISREG(found.st_mode):
         raise UsageError(f"{option} {path}: is a device, a pipe or a socket; give the name of a file")
-    if any(_is_open(number, found) for number in (1, 2)):
-        raise UsageError(f"{option} {path}: is where this command prints; give another file")
     if not overwrite:
         raise UsageError(f"{option} {path}: is there already; add --overwrite to replace it")
-
-
-def _is_open(descriptor: int, found: os.stat_result) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), found)
-    except OSError:  # it is closed
-        return False
 
 
 def write_file(path: Path, text: str, *, overwrite: bool = True) -> None:

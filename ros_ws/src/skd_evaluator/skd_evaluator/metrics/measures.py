@@ -6,6 +6,7 @@ SKD's own stand in `MEASURES`; an installed package adds one by an entry point o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,8 +19,7 @@ from skd_sim.options.registry import Registry, reason_of
 from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.metrics.clustered import Prior, clustered_mean
-from skd_evaluator.metrics.statistics import mean, normal_interval
+from skd_evaluator.metrics.clustered import GroupedMean, Prior
 
 MEASURES = Registry(
     "measure",
@@ -93,18 +93,17 @@ class Measured:
             confidence: confidence of the interval over φ.
         """
         groups = [values[rows] for values, rows in zip(self.values, kept, strict=True)] if not self.error else []
-        known = [values[np.isfinite(values)] for values in groups]
-        numbers = np.concatenate([np.empty(0), *known])
-        clustered = clustered_mean(known, confidence, prior=self.measure.prior)
+        known = tuple(values[np.isfinite(values)] for values in groups)
+        found = GroupedMean(known, self.measure.prior, (-math.inf, math.inf), confidence)
         return {
             "label": self.measure.label,
             "unit": self.measure.unit,
             "shown": self.measure.shown,
-            "mean": mean(numbers) if numbers.size else None,
-            "ci95_pairs": normal_interval(numbers),
-            "ci95": clustered and clustered.interval,
-            "pairs": int(numbers.size),
-            "undefined": sum(len(values) for values in groups) - int(numbers.size),
+            "mean": found.mean,
+            "ci95_pairs": found.plain_interval,
+            "ci95": found.interval,
+            "pairs": int(found.values.size),
+            "undefined": sum(len(values) for values in groups) - int(found.values.size),
             "error": self.error or None,
         }
 

@@ -12,7 +12,6 @@ from skd_sim.options.options import FIELDS, EpisodeOptions, options_of
 
 from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.files.results import StoredResult
-from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS
 from skd_evaluator.metrics.aborted import UNDISTURBED, in_one_line, not_credible
 
 PLANNED = keys_of(Of.RANKING, Of.SKD)
@@ -125,11 +124,6 @@ def scenario_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Dif
     return next(differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)
 
 
-def phi_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[Different]:
-    """Return all keys in which two scenarios differ that safe trajectories can depend on, the car's own among them."""
-    return list(differences(one, other, _SAYS_NOTHING))
-
-
 def has_tyres(scenario: Mapping[str, Any]) -> bool:
     """Return whether the car of a scenario, as plain data, has tyres: only they feel the road's friction."""
     return DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres
@@ -240,22 +234,8 @@ def different_phi(first: StoredResult, second: StoredResult) -> list[str]:
     kind = first.figures["safe"]
     if kind != second.figures["safe"] or len(shared(first, second)) == min(len(first.safe), len(second.safe)):
         return []
-    why = "made against each car" if kind == OWN else "others of one set"
-    if kind in (SYNTHETIC, WALKERS):
-        why = _why_generated(first, second)
     between = f"{first.folder} and {second.folder}"
-    return [f"{between} are of different φ, {why}: compared as two samples, which takes more φ to tell apart"]
-
-
-def _why_generated(first: StoredResult, second: StoredResult) -> str:
-    """Return why two sets of generated φ are not the same: they follow from seed, scenario and version of SKD."""
-    if first.figures["seed"] != second.figures["seed"]:
-        return "of different seeds"
-    if differ := phi_differences(first.scenario, second.scenario):
-        return "made where " + ", ".join(f"{key} is {here} and {there}" for key, here, there in differ)
-    if first.figures["version"] != second.figures["version"]:
-        return "made by different versions of SKD"
-    return "though of one seed and one scenario"
+    return [f"{between} are of different φ: compared as two samples, which takes more φ to tell apart"]
 
 
 def _simulator(result: StoredResult) -> str:

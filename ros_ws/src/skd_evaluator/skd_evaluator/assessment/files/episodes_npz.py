@@ -286,62 +286,37 @@ def _risk_columns(assessment: Assessment) -> Columns:
 
 
 EPISODES = "episodes.npz"
-_COLUMNS = {
-    "positions": Column(np.float64, (-1, 2)),
-    "car": Column(np.float64, (-1, 3)),
-    "heading": Column(np.float64, (-1,)),
-    "offsets": Column(np.int64, (-1,)),
-    "mode": Column(np.int8, (-1,)),
-    "safe_index": Column(np.int32, (-1,)),
-    "outcome": Column(np.int8, (-1,)),
-    "episode_id": Column(np.int64, (-1,)),
-    "impact_time": Column(np.float64, (-1,)),
-    "impact_speed": Column(np.float64, (-1,)),
-    "objective": Column("U16", (-1,)),
-    "time_step": Column(np.float64, ()),
-    "hit_speed": Column(np.float64, ()),
-}
-_FURTHER = {
-    "clipped": Column(np.int64, (-1,)),
-    "reason": Column("U", (-1,)),
-    "safe_name": Column("U", (-1,)),
-    "objectives": Column("U", (-1,)),
-    "plans_deviation": Column(np.bool_, (-1,)),
-    "eta_max": Column(np.float64, ()),
-    "maximum_distance": Column(np.float64, ()),
-    "seed": Column(np.int64, ()),
-}
-"""What figures follow from beside the trajectories; see `recomputation`."""
-_MARGIN = {
-    "margin": Column(np.float64, (-1,)),
-    "margin_safe_index": Column(np.int32, (-1,)),
-    "margin_trial": Column(np.int64, (-1,)),
-    "margin_duration": Column(np.float64, (-1,)),
-    "margin_impact_speed": Column(np.float64, (-1,)),
-    "margin_gap": Column(np.float64, (-1,)),
-    "margin_positions": Column(np.float64, (-1, 2)),
-    "margin_offsets": Column(np.int64, (-1,)),
-}
+
+
+def _columns(rows: str, single: str = "") -> dict[str, Column]:
+    """Return columns of texts: name, type and, where a row has several values, their number."""
+    found = {}
+    for name, dtype, *width in map(str.split, rows.split(",")):
+        found[name] = Column(dtype, (-1, *map(int, width)))
+    return {**found, **{name: Column(dtype, ()) for name, dtype in map(str.split, filter(None, single.split(",")))}}
+
+
+_COLUMNS = _columns(
+    "positions f8 2, car f8 3, heading f8, offsets i8, mode i1, safe_index i4, outcome i1, episode_id i8, "
+    "impact_time f8, impact_speed f8, objective U16",
+    "time_step f8, hit_speed f8",
+)
+_FURTHER = _columns(
+    "clipped i8, reason U, safe_name U, objectives U, plans_deviation ?",
+    "eta_max f8, maximum_distance f8, seed i8",
+)
+"""What figures follow from beside the trajectories; see `verification`."""
+_MARGIN = _columns(
+    "margin f8, margin_safe_index i4, margin_trial i8, margin_duration f8, margin_impact_speed f8, margin_gap f8, "
+    "margin_positions f8 2, margin_offsets i8"
+)
 """There where the margin is known."""
-_OPTIONAL = {
-    "own_contact": Column(np.float64, (-1,)),
-    "risk_scale": Column(np.float64, (-1,)),
-    "risk_touch": Column(np.int8, (-1,)),
-    "risk_share": Column(np.float64, (-1,)),
-    "risk_levels": Column(np.int64, (-1,)),
-    "risk_per_level": Column(np.int64, (-1,)),
-    "risk_open": Column(np.int64, (-1,)),
-    "risk_lost": Column(np.int64, (-1,)),
-    "risk_tick": Column(np.int32, (-1,)),
-    "risk_failure": Column(np.int64, (-1,)),
-    "risk_failure_positions": Column(np.float64, (-1, 2)),
-    "risk_failure_car": Column(np.float64, (-1, 3)),
-    "risk_failure_heading": Column(np.float64, (-1,)),
-    "risk_failure_offsets": Column(np.int64, (-1,)),
-    "risk_failure_impact_time": Column(np.float64, (-1,)),
-    "risk_failure_impact_speed": Column(np.float64, (-1,)),
-}
-"""Likewise what figures follow from, where it was asked for."""
+_OPTIONAL = _columns(
+    "own_contact f8, risk_scale f8, risk_touch i1, risk_share f8, risk_levels i8, risk_per_level i8, risk_open i8, "
+    "risk_lost i8, risk_tick i4, risk_failure i8, risk_failure_positions f8 2, risk_failure_car f8 3, "
+    "risk_failure_heading f8, risk_failure_offsets i8, risk_failure_impact_time f8, risk_failure_impact_speed f8"
+)
+"""Likewise what figures follow from, where it was requested."""
 _ROUNDING = 1e-9  # m
 _OF_EPISODES = ("clipped", "reason", "own_contact")
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
@@ -491,9 +466,7 @@ def read_episodes(folder: Path, name: str = EPISODES) -> StoredEpisodes:
         UsageError: it cannot be read, or its arrays do not go together.
     """
     path = folder / name
-    arrays = read_arrays(
-        path, {**_COLUMNS, **_FURTHER}, {"belief": Column(np.float32, (-1, 4)), **_MARGIN, **_OPTIONAL}
-    )
+    arrays = read_arrays(path, {**_COLUMNS, **_FURTHER}, {"belief": Column("f4", (-1, 4)), **_MARGIN, **_OPTIONAL})
     why = _mismatch(arrays)
     if why:
         raise UsageError(f"{path}: {why}")
@@ -569,9 +542,9 @@ def _margin_ways(
             trajectories = [Trajectory(way, step) for way in ways]
             distances = deviation_pairs(phi, ways, durations)
         except (ValueError, IndexError) as error:
-            raise UsageError(f"{path}: a way of the margins: {error}") from error
+            raise UsageError(f"{path}: a trajectory of the margins: {error}") from error
         if (np.abs(distances - said[known]) > _ROUNDING).any():
-            raise UsageError(f"{path}: the way of a margin has another deviation than it says")
+            raise UsageError(f"{path}: the trajectory of a margin has another deviation than it says")
         columns = (distances.tolist(), trajectories, durations.tolist(), speeds.tolist())
         by_row = dict(zip(known.tolist(), map(Hit, *columns, arrays["margin_gap"][known].tolist()), strict=True))
         found.append(tuple(by_row.get(row) for row in rows.tolist()))

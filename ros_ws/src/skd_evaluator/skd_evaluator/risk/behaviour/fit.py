@@ -26,7 +26,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -354,27 +354,8 @@ _FURTHEST: Final = 0.5
 _OUTWARD: Final = 6
 
 
-class Problem(Protocol):
-    """What is fitted to tracks."""
-
-    observed: FloatArray
-    """The summary of the tracks."""
-
-    def allowed(self, free: FloatArray) -> FloatArray:
-        """Return the nearest parameters within what is allowed, on the scale on which they are fitted."""
-
-    def summary_at(self, free: FloatArray) -> FloatArray:
-        """Return the summary of people simulated by parameters."""
-
-    def jacobian_at(self, free: FloatArray) -> FloatArray:
-        """Return its derivatives."""
-
-    def groups_at(self, free: FloatArray) -> FloatArray:
-        """Return the summary of each of many groups of as many people as there are tracks."""
-
-
 def inverted(
-    problem: Problem, free: FloatArray, index: int, error: float, most: float, confidence: float = 0.95
+    problem: TrackProblem, free: FloatArray, index: int, error: float, most: float, confidence: float = 0.95
 ) -> tuple[float, float]:
     """Return the interval of a parameter that is at least 0, on the scale on which it is fitted.
 
@@ -433,7 +414,7 @@ def _weights(groups: FloatArray) -> FloatArray:
 
 
 def _score(
-    problem: Problem, weights: FloatArray, free: FloatArray, index: int, value: float
+    problem: TrackProblem, weights: FloatArray, free: FloatArray, index: int, value: float
 ) -> tuple[float, FloatArray]:
     """Return what tells of the parameter, of the tracks and of groups that are simulated with a value of it."""
     here, jacobian = _others_fitted(problem, weights, free, index, value)
@@ -444,7 +425,7 @@ def _score(
 
 
 def _others_fitted(
-    problem: Problem, weights: FloatArray, free: FloatArray, index: int, value: float
+    problem: TrackProblem, weights: FloatArray, free: FloatArray, index: int, value: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return all parameters, the others being fitted by one step, and the derivatives from which it went."""
     here = free.copy()
