@@ -27,6 +27,7 @@ TOPICS = {
     "/skd/episode_result": "skd_msgs/msg/EpisodeResult",
     "/skd/markers": "visualization_msgs/msg/MarkerArray",
     "/skd/clearance": "std_msgs/msg/Float64",
+    "/skd/command": "geometry_msgs/msg/AccelStamped",
     "/skd/deviation": "std_msgs/msg/Float64",
     "/robot_description": "std_msgs/msg/String",
     "/tf": "tf2_msgs/msg/TFMessage",
@@ -129,7 +130,7 @@ def test_they_show_the_car_where_it_was(campaign: Campaign, store: Typestore) ->
                     places[time] = [one.pose.position for one in message.markers if one.type == 1]  # CUBE: the car
                 elif connection.topic == "/robot_description":
                     looks.append(message.data)
-        assert frames == {("map", "odom"), ("odom", "base_link"), ("base_link", "laser")}
+        assert frames == {("map", "odom"), ("odom", "base_link"), ("base_link", "laser"), ("map", "adversary")}
         assert len(looks) == 1
         assert set(transforms) == set(places) == set(poses)
         for time, pose in poses.items():

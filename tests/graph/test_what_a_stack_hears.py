@@ -18,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profi
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from skd_sim.options.options import StateOptions
+from skd_sim.ros.from_messages import odometry_to_adversary
 from skd_sim.ros.state_publisher import StatePublisher
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
@@ -145,11 +146,13 @@ def test_whoever_listens_hears_all_states_and_every_second_scan(ears: Any, profi
         times = [message.clock if topic == "/clock" else message.header.stamp for message in first]
         assert [time.sec * 10**9 + time.nanosec for time in times] == wanted, topic
     (fixed,) = graph.wait_for("/tf_static", 1)
-    tree = {one.child_frame_id: one for one in [*fixed.transforms, graph.heard["/tf"][-1].transforms[0]]}
+    tree = {one.child_frame_id: one for one in [*fixed.transforms, *graph.heard["/tf"][-1].transforms]}
     assert {child: one.header.frame_id for child, one in tree.items()} == {
         "odom": "map",
         "base_link": "odom",
         "laser": "base_link",
+        "adversary": "map",
+        **{f"other_{number}": "map" for number in range(len(episode.scenario.others))},
     }
     assert "<robot" in graph.wait_for("/robot_description", 1)[0].data
 
@@ -174,15 +177,27 @@ def test_whoever_listens_hears_all_states_and_every_second_scan(ears: Any, profi
 
 
 def test_the_adversary_is_a_tracked_object(ears: Any) -> None:
+    """Its twist is in its own frame, which has a transform, and gives the velocity in the map to the last bit."""
     vision = pytest.importorskip("vision_msgs.msg")
     episode = sharp("cyclist")
     adversary = episode.scenario.adversary
     moments = states(episode, 5)  # the depth of that quality of service
     graph = ears()
-    graph.listen({"/adversary/detections": vision.Detection3DArray}, qos_profile_sensor_data)
+    heard = {"/adversary/odometry": Odometry, "/adversary/detections": vision.Detection3DArray, "/tf": TFMessage}
+    graph.listen(heard, qos_profile_sensor_data)
     graph.states.begin(episode, START)
     for frame, stamp in moments:
         graph.say(frame, stamp)
+    messages, transforms = graph.wait_for("/adversary/odometry", len(moments)), graph.wait_for("/tf", len(moments))
+    for message, moved, (frame, _) in zip(messages, transforms, moments, strict=True):
+        (transform,) = [one for one in moved.transforms if one.child_frame_id == message.child_frame_id]
+        turned = pose_of(transform)
+        twist, state = message.twist.twist.linear, frame.adversary
+        np.testing.assert_allclose(turned[:2, :2] @ [twist.x, twist.y], [state.vx, state.vy], atol=1e-12)
+        np.testing.assert_array_equal(turned[:2, 2], [state.x, state.y])
+        assert odometry_to_adversary(message) == state
+    assert twist.x == pytest.approx(math.hypot(2.0, 0.5))
+    assert twist.y == pytest.approx(0.0, abs=1e-9)
     messages = graph.wait_for("/adversary/detections", len(moments))
     assert len({message.detections[0].id for message in messages}) == 1
     for message, (frame, _) in zip(messages, moments, strict=True):
@@ -209,7 +224,7 @@ def test_the_frames_of_a_stack_that_calls_them_otherwise(ears: Any) -> None:
     graph.say(frame, stamp)
     (fixed,), (moving,) = graph.wait_for("/tf_static", 1), graph.wait_for("/tf", 1)
     pairs = [(one.header.frame_id, one.child_frame_id) for one in [*fixed.transforms, *moving.transforms]]
-    assert pairs == [("car/base", "car/front"), ("car/odom", "car/base")]
+    assert pairs == [("car/base", "car/front"), ("car/odom", "car/base"), ("map", "adversary")]
     (odometry,), (scan,) = graph.wait_for("/ego/odometry", 1), graph.wait_for("/ego/scan", 1)
     assert (odometry.header.frame_id, odometry.child_frame_id) == pairs[1]
     assert scan.header.frame_id == "car/front"

@@ -26,7 +26,7 @@ def topics() -> set[str]:
     support = importlib.import_module("skd_sim.ros.support")
     names = (
         *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "ADVERSARY_ODOMETRY"),
-        *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT", "CLEARANCE", "DEVIATION", "BELIEVED_CAR"),
+        *("COMMAND", "MARKERS", "ASSESSMENT", "CLEARANCE", "DEVIATION", "BELIEVED_CAR"),
     )
     return {f"/{getattr(support, name)}" for name in names}
 

@@ -39,6 +39,17 @@ centres = st.floats(-20.0, 20.0, **finite)
 angles = st.floats(-math.pi, math.pi, **finite)
 
 
+def test_a_laser_all_around_may_begin_ahead():
+    """As a TurtleBot's: one beam a degree, to the left, the first straight ahead."""
+    sensor = {"beams": 360, "field_of_view": math.radians(359.0), "range_noise": 0.0, "dropout": 0.0}
+    around = scenario(Obstacle(-5.0, 0.0, HEADING_NORTH, 2.0, 2.0), **sensor, first_bearing=0.0, mount_ahead=0.0)
+    assert scenario_from_dict(around.as_dict()) == around
+    scan = PlanarLaser(around, 0, 0).scan(CarState(0.0, 0.0, HEADING_NORTH, 0.0), AdversaryState(0.0, 8.0, 0, 0), 0)
+    assert scan.angle_min == 0.0
+    assert np.flatnonzero(np.isfinite(scan.ranges)).tolist() == [0, 1, *range(76, 105), 359]
+    assert (scan.ranges[0], scan.ranges[90]) == pytest.approx((7.75, 4.0))
+
+
 @settings(max_examples=200)
 @given(centres, centres, st.floats(0.1, 3.0), angles)
 def test_disc_against_the_quadratic(x, y, radius, bearing):

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import AccelStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -37,6 +37,7 @@ from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
     ASSESSMENT,
     CLOCK,
+    COMMAND,
     EGO_ODOMETRY,
     EPISODE,
     EPISODE_RESULT,
@@ -288,6 +289,7 @@ class Evaluator(GraphNode):
             self._listen(self._drive_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
             self._listen(walk_topic, TwistStamped)
             self._listen(TF, TFMessage, stamp=_stamp_of_transforms)
+            self._listen(COMMAND, AccelStamped)
             settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
             self._recorder = BagRecorder(
                 self, record_to, self._drive_topic, walk_topic, own_world=own_world, patience=settle, say=say
@@ -437,7 +439,7 @@ class Evaluator(GraphNode):
         whole = self._samples.missing(episode, start, result) == 0
         log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
         if recorder is not None:
-            recorder.write(specification, log, result, end, unsaid=self._result is None)
+            recorder.write(specification, log, self._samples, result, end, unsaid=self._result is None)
         if kind_of(log.reason) == AbortKind.NO_ANSWER:
             self._after_silence(log.reason)
         return log

@@ -34,12 +34,11 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.timing import period_stamp, tick_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.assessment.plan import follows_other_trajectory, model_digest
-from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey
+from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples
 from skd_evaluator.bags.write import RecordedMessage, write_bag
-from skd_evaluator.ros.visualization import fixed_markers, moving_markers, recorded_figures
+from skd_evaluator.ros.visualization import episode_markers, recorded_figures
 
 SETTLE = 0.05
 """s for which a recording waits, after the result, for what other topics still have on the way."""
@@ -181,12 +180,15 @@ class BagRecorder:
                 return
             listen(SETTLE)
 
-    def write(self, specification: Any, log: EpisodeLog, result: EpisodeEnd, end: int, *, unsaid: bool) -> None:
+    def write(
+        self, specification: Any, log: EpisodeLog, samples: Samples, result: EpisodeEnd, end: int, *, unsaid: bool
+    ) -> None:
         """Write the bag of the episode.
 
         Args:
             specification: the message that began the episode.
             log: what happened in the episode.
+            samples: all states of it that have come.
             result: the episode's result, as published.
             end: stamp of the episode's end, ns.
             unsaid: whether the simulator has not said how the episode ended, so that the evaluator has to.
@@ -212,7 +214,7 @@ class BagRecorder:
             latched.append(self._own(TF_STATIC, fixed, start, latched=True))
         if self._description is not None:
             latched.append(self._own(ROBOT_DESCRIPTION, self._description, start, latched=True))
-        shown = [*self._markers(log), *recorded_figures(log, start, figures)]
+        shown = [*self._markers(log.episode, samples), *recorded_figures(log, start, figures)]
         write_bag(self._folder / name, [*latched, *shown, *messages])
 
     def _ending(self, specification: Any, result: EpisodeEnd, end: int) -> EpisodeResult:
@@ -229,14 +231,8 @@ class BagRecorder:
         data = serialize_message(message)
         return RecordedMessage(self._node.resolve_topic_name(topic), type(message), stamp, data, latched=latched)
 
-    def _markers(self, log: EpisodeLog) -> list[RecordedMessage]:
-        episode, scenario, found = log.episode, log.episode.scenario, []
-        walked = [(float(x), float(y)) for x, y in log.adversary]
-        for tick, car in enumerate(log.car):
-            stamp = tick_stamp(self._key.start, tick, scenario.time_step)
-            place = (float(car[0]), float(car[1])) if math.isfinite(car[0]) else None
-            markers = moving_markers(scenario, place, walked[: tick + 1], tick * scenario.time_step, stamp)
-            if not tick:
-                markers = [*fixed_markers(episode, stamp), *markers]
-            found.append(self._own(MARKERS, MarkerArray(markers=markers), stamp, latched=True))
-        return found
+    def _markers(self, episode: EpisodeSpec, samples: Samples) -> list[RecordedMessage]:
+        start = self._key.start
+        markers = {stamp: episode_markers(episode, samples, stamp, fixed=False) for stamp in sorted(samples.car)}
+        markers[start] = episode_markers(episode, samples, start)
+        return [self._own(MARKERS, shown, stamp, latched=True) for stamp, shown in markers.items()]

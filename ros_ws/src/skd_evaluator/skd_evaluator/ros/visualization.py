@@ -162,13 +162,13 @@ def moving_markers(
     return markers
 
 
-def episode_markers(episode: EpisodeSpec, samples: Samples, stamp: int) -> MarkerArray:
-    """Return all markers of an episode at simulation time `stamp` (ns)."""
+def episode_markers(episode: EpisodeSpec, samples: Samples, stamp: int, *, fixed: bool = True) -> MarkerArray:
+    """Return the markers of an episode at simulation time `stamp` (ns), with those that stay or without."""
     place = samples.car[stamp][:2] if stamp in samples.car else None
-    walked = [samples.adversary[time] for time in sorted(samples.adversary)]
+    walked = [samples.adversary[time] for time in sorted(samples.adversary) if time <= stamp]
     elapsed = 1e-9 * (stamp - min(samples.adversary, default=stamp))
     moving = moving_markers(episode.scenario, place, walked, elapsed, stamp)
-    return MarkerArray(markers=[*fixed_markers(episode, stamp), *moving])
+    return MarkerArray(markers=[*(fixed_markers(episode, stamp) if fixed else ()), *moving])
 
 
 class LiveFigures:

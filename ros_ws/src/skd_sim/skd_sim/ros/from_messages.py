@@ -16,7 +16,7 @@ from skd_sim.options.options import FIELDS, options_from_text, options_of
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeSpec, Mode, controller_generator
 from skd_sim.world.sensors import Scan
-from skd_sim.world.state import AdversaryState, CarState, Trajectory, heading_of
+from skd_sim.world.state import AdversaryState, CarState, Trajectory, heading_of, to_map
 from skd_sim.world.timing import NANOSECONDS
 
 
@@ -36,7 +36,8 @@ def odometry_to_adversary(message: Any) -> AdversaryState:
     """Return the adversary's state from its odometry."""
     pose, linear = message.pose.pose, message.twist.twist.linear
     heading = heading_of(pose.orientation.z, pose.orientation.w)
-    return AdversaryState(float(pose.position.x), float(pose.position.y), float(linear.x), float(linear.y), heading)
+    velocity = to_map(float(linear.x), float(linear.y), heading)
+    return AdversaryState(float(pose.position.x), float(pose.position.y), *velocity, heading)
 
 
 def message_to_scan(message: Any) -> Scan:

@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import AccelStamped, TwistStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
@@ -38,6 +38,7 @@ from skd_sim.ros.lockstep import (
 )
 from skd_sim.ros.state_publisher import InitialPose, StatePublisher
 from skd_sim.ros.support import (
+    COMMAND,
     EPISODE,
     EPISODE_RESULT,
     LATCHED,
@@ -48,7 +49,7 @@ from skd_sim.ros.support import (
     run_node,
     settings_of,
 )
-from skd_sim.ros.to_messages import to_stamp
+from skd_sim.ros.to_messages import acceleration_command, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
@@ -126,6 +127,7 @@ class GraphSimulator:
         self.on_result: Callable[[EpisodeResult], None] = lambda _result: None
         self._states = StatePublisher(node, StateOptions(**values_of(StateOptions, values)), clock=clock)
         self._result = node.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._applied = node.create_publisher(AccelStamped, COMMAND, STREAM)
         self._initial_pose = InitialPose(node) if values["initial_pose"] else None
         self._lockstep = self._listen_to_commands(alone=alone)
         if alone:
@@ -252,8 +254,12 @@ class GraphSimulator:
             self._end(action)
 
     def _step(self, commands: ControlStep) -> None:
+        acceleration = self._acceleration(commands)
+        if self._applied.get_subscription_count():
+            stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
+            self._applied.publish(acceleration_command(acceleration, stamp))
         try:
-            self._frame = self._simulator.step(self._acceleration(commands), commands.velocity)
+            self._frame = self._simulator.step(acceleration, commands.velocity)
         except SimulatorError as fault:
             self._do(self._lockstep.fail(str(fault)))
             return

@@ -38,10 +38,10 @@ from skd_sim.ros.to_messages import (
     COVARIANCE_6,
     adversary_to_odometry,
     car_to_odometry,
-    car_to_transform,
     inertia_to_message,
     scan_to_message,
     scan_to_points,
+    scene_to_transforms,
     static_transforms,
     to_orientation,
     to_stamp,
@@ -112,7 +112,7 @@ class StatePublisher:
         listeners = self._transform.get_subscription_count()
         # tf2 complains of a transform that comes twice; a listener that came since then needs it.
         if listeners and (stamp, listeners) != self._moved:
-            self._transform.publish(car_to_transform(frame.car, stamp, self._frames))
+            self._transform.publish(scene_to_transforms(frame.scene(self._episode.scenario), stamp, self._frames))
         self._moved = stamp, listeners
         inertia = self._inertial_unit.measure(frame.car, stamp)  # of every state, or it would depend on who listens
         if self._imu.get_subscription_count():

@@ -42,6 +42,7 @@ ASSESSMENT = "skd/assessment"
 MARKERS = "skd/markers"
 CLEARANCE = "skd/clearance"
 DEVIATION = "skd/deviation"
+COMMAND = "skd/command"
 BELIEVED_CAR = "skd/believed_car"
 
 STREAM = QoSProfile(depth=4000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)

@@ -19,7 +19,7 @@ from skd_sim.options.options import ADVERSARY_FRAME, FIELDS, FRAMES, MAP_FRAME, 
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeSpec, controller_seed
 from skd_sim.world.sensors import Inertia, Scan
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.state import AdversaryState, CarState, Scene, to_body
 from skd_sim.world.timing import NANOSECONDS
 
 _VARIANCE = 1e-6  # of each number, in SI units squared. All are true; but filters invert covariances, and zeros have no
@@ -64,20 +64,24 @@ def car_to_odometry(car: CarState, stamp: int, frames: Frames = FRAMES) -> Odome
 
 
 def adversary_to_odometry(adversary: AdversaryState, stamp: int) -> Odometry:
-    """Return the adversary's odometry, as `car_to_odometry`; the twist is along the axes of `map`."""
+    """Return the adversary's odometry, as `car_to_odometry`; the twist is along its own axes."""
     message = _odometry(MAP_FRAME, ADVERSARY_FRAME)
+    linear = message.twist.twist.linear
     message.header.stamp = to_stamp(stamp)
     message.pose.pose.position.x = adversary.x
     message.pose.pose.position.y = adversary.y
     message.pose.pose.orientation = to_orientation(adversary.heading)
-    message.twist.twist.linear.x = adversary.vx
-    message.twist.twist.linear.y = adversary.vy
+    linear.x, linear.y = to_body(adversary.vx, adversary.vy, adversary.heading)
     return message
 
 
-def car_to_transform(car: CarState, stamp: int, frames: Frames = FRAMES) -> TFMessage:
-    """Return the transform `odom` → `base_link`."""
-    return TFMessage(transforms=[_transform(frames.odom, frames.base, (car.x, car.y, 0.0), stamp, car.heading)])
+def scene_to_transforms(scene: Scene, stamp: int, frames: Frames = FRAMES) -> TFMessage:
+    """Return the transforms `odom` → `base_link`, `map` → `adversary`, and `map` → `other_0` and so on."""
+    car, users = scene.ego, {ADVERSARY_FRAME: scene.adversary}
+    users |= {f"other_{number}": state for number, state in enumerate(scene.others)}
+    moved = [_transform(frames.odom, frames.base, (car.x, car.y, 0.0), stamp, car.heading)]
+    moved += [_transform(MAP_FRAME, name, (one.x, one.y, 0.0), stamp, one.heading) for name, one in users.items()]
+    return TFMessage(transforms=moved)
 
 
 def static_transforms(

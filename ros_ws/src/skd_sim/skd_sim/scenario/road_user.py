@@ -18,7 +18,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OnLane, limits
 from skd_sim.options.registry import Registry
-from skd_sim.world.state import RoadUserState, on_grid
+from skd_sim.world.state import RoadUserState, on_grid, velocity_on_grid
 
 HEIGHT = 1.8
 """How high a road user is drawn, m; nothing but pictures and boxes in messages depends on it."""
@@ -155,7 +155,8 @@ class RoadUser(Body, OnLane):
 
     def first_state(self, x: float, y: float) -> RoadUserState:
         """Return its state when an episode begins with it at (x, y), m."""
-        return RoadUserState(float(x), float(y), *self.first_velocity, float(on_grid(self.first_heading)))
+        velocity = velocity_on_grid(*self.first_velocity) if self.is_box else self.first_velocity
+        return RoadUserState(float(x), float(y), *velocity, float(on_grid(self.first_heading)))
 
 
 @dataclass(frozen=True)

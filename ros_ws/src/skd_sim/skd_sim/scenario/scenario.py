@@ -88,7 +88,10 @@ class Collision(Frozen):
 
 @dataclass(frozen=True)
 class LaserSensor(Frozen):
-    """Planar laser scanner on the car's axis, looking ahead; beams are spread evenly over the field of view."""
+    """Planar laser scanner on the car's axis, looking ahead; beams are spread evenly over the field of view.
+
+    The first beam is at the right end of the field of view, or at `first_bearing`: 0 is straight ahead.
+    """
 
     mount_ahead: Annotated[float, limits(-20.0, 20.0, "m ahead of the reference point")]
     beams: Annotated[int, limits(2, 4096, "beams")]
@@ -96,6 +99,7 @@ class LaserSensor(Frozen):
     maximum_range: Annotated[float, limits(1.0, 300.0, "m")]
     range_noise: Annotated[float, limits(0.0, 1.0, "m, standard deviation")]
     dropout: Annotated[float, limits(0.0, 0.9, "probability per beam")]
+    first_bearing: Annotated[float, limits(-2 * math.pi, 2 * math.pi, "rad, to the left")] | None = None
 
 
 @dataclass(frozen=True)

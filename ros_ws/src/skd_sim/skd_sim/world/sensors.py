@@ -208,7 +208,8 @@ class PlanarLaser:
         self._scenario, self._parked = scenario, scenario.rectangles[: len(hides)][hides]
         self._draw = (seed, episode_id)
         # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
-        self._first = float(np.float32(-0.5 * self._sensor.field_of_view))
+        first = self._sensor.first_bearing
+        self._first = float(np.float32(-0.5 * self._sensor.field_of_view if first is None else first))
         self._increment = float(np.float32(self._sensor.field_of_view / (self._sensor.beams - 1)))
 
     def true_ranges(

@@ -3,7 +3,8 @@
 World frame `map` (ENU: x East, y North), metres, m/s, rad.
 
 A message carries sin and cos of half a heading, from which it comes back with the error of four roundings. Headings of
-a grid of π/2⁴⁰ (3·10⁻¹² rad), far coarser than that, are found again to the last bit; North, π/2, is one of them.
+a grid of π/2⁴⁰ (3·10⁻¹² rad), far coarser than that, are found again to the last bit; North, π/2, is one of them. So
+are velocities of a grid, which a message carries along the axes of a box.
 
 Paper, section "The Cars": ν' = ν + U[−0.05ν, 0.05ν] + Δt·a with a itself perturbed by ±10 %. A car does not
 reverse, so the speed is clamped at zero, and the distance travelled is the trapezoid Δt·(ν + ν')/2.
@@ -33,7 +34,7 @@ class CarState(NamedTuple):
 class RoadUserState(NamedTuple):
     """Anybody but the car: position of the centre (m), velocity over the last time step (m/s), heading of a box (rad).
 
-    A disc points nowhere: its heading is 0.
+    A disc points nowhere: its heading is 0. A box's velocity is one of the grid of `velocity_on_grid`.
     """
 
     x: float
@@ -107,6 +108,33 @@ def on_grid(heading: float) -> float:
     grains = np.floor(heading / _GRAIN + 0.5)  # not math.floor, which makes a whole number of what is none
     turns = np.ceil((grains - _HALF_TURN) / (2.0 * _HALF_TURN))
     return (grains - 2.0 * _HALF_TURN * turns) * _GRAIN  # type: ignore[no-any-return]
+
+
+_SLOWEST = 2.0**40  # grid points of a velocity to 1 m/s
+
+
+def to_body(vx: float, vy: float, heading: float) -> tuple[float, float]:
+    """Return a velocity in `map` (m/s) along and to the left of a heading (rad)."""
+    if heading == 0.0:
+        return vx, vy
+    cos, sin = math.cos(heading), math.sin(heading)
+    return cos * vx + sin * vy, cos * vy - sin * vx
+
+
+def to_map(ahead: float, left: float, heading: float) -> tuple[float, float]:
+    """Return in `map` a velocity (m/s) along and to the left of a heading (rad).
+
+    One of a grid of 2⁻⁴⁰ m/s, as a box's velocity is, comes back from `to_body` to the last bit.
+    """
+    if heading == 0.0:
+        return ahead, left
+    cos, sin = math.cos(heading), math.sin(heading)
+    return velocity_on_grid(cos * ahead - sin * left, sin * ahead + cos * left)
+
+
+def velocity_on_grid(vx: float, vy: float) -> tuple[float, float]:
+    """Return the velocity of the grid that is nearest, m/s."""
+    return float(np.rint(vx * _SLOWEST)) / _SLOWEST, float(np.rint(vy * _SLOWEST)) / _SLOWEST
 
 
 def heading_of(z: float, w: float) -> float:

@@ -13,7 +13,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CarDynamics, Noise, command_limits, make_dynamics
 from skd_sim.world.episode import EpisodeSpec, Role, generator
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid, velocity_on_grid
 
 
 class Contact(NamedTuple):
@@ -136,6 +136,8 @@ class World:
         if not counts and period < periods - 1:
             passed = step * (period + 1) / periods
             x, y = origin.x + passed * velocity[0], origin.y + passed * velocity[1]
+        if self.scenario.adversary.is_box:
+            velocity = velocity_on_grid(*velocity)
         return AdversaryState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
 
 

@@ -29,7 +29,7 @@ from skd_sim.simulators.metadrive.vehicle import Cast, Placed, VehicleSpec
 from skd_sim.simulators.simulator import SimulatorError
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid, velocity_on_grid
 
 PHYSICS_STEP: Final = 0.02
 """MetaDrive's own step of the physics, s; the longest that is taken."""
@@ -410,6 +410,8 @@ class MetaDriveFrames:
         vx, vy = self._velocity
         heading = float(on_grid(self._scenario.adversary.heading(self._at.heading, vx, vy)))
         x, y = self._at.x + self.frame_step * vx, self._at.y + self.frame_step * vy
+        if self._scenario.adversary.is_box:
+            vx, vy = velocity_on_grid(vx, vy)
         self._at = AdversaryState(x, y, vx, vy, heading)
         self._put_moving()
         self._stage.advance()
