@@ -31,9 +31,8 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     first, last = finished.timeless[1:]
     assert first.startswith("skd: an episode was aborted, the first one so: not started: the car controller")
     assert "3 starts in a row failed, the last one so: not started: the car controller" in last
-    assert last.rpartition("; log: ")[0].endswith(
-        "nobody publishes on /ego/acceleration_command; aborted were 3 not started"
-    )
+    assert "nobody publishes on /ego/acceleration_command" in last
+    assert last.rpartition("; log: ")[0].endswith("; aborted were 3 not started")
     logs = tmp_path / "out" / "logs"
     for line in (first, last):
         assert Path(line.rpartition("log: ")[2]) == logs  # nobody else was started, and so nobody has printed

@@ -1,125 +1,216 @@
-"""What is said while a first command is awaited: each line against a graph in which the fault was made."""
+"""Why a command does not come: each cause against a graph in which the fault was made."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import pytest
 import rclpy
 from common import wait_until
-from geometry_msgs.msg import AccelStamped, Twist
+from geometry_msgs.msg import AccelStamped, PoseStamped, Twist
 from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import LaserScan
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros import stack as stack_module
-from skd_evaluator.ros.stack import Awaited, FirstCommands
+from skd_evaluator.ros.stack import FirstCommands
+from skd_sim.ros.diagnosis import CAUSES, Awaited, Evidence, Heard, diagnose
+from skd_sim.ros.support import STREAM
 
 START = 7_000_000_000
-COMMANDS = "/ego/acceleration_command"
-ACCELERATIONS = "geometry_msgs/msg/AccelStamped"
+SECOND = 10**9
+COMMANDS = Awaited("/ego/acceleration_command", "geometry_msgs/msg/AccelStamped")
+Make = Callable[[Node], Any]
+
+
+class Graph(NamedTuple):
+    """A node that watches and publishes states, and one of others."""
+
+    watcher: Node
+    stack: Node
+    executor: SingleThreadedExecutor
 
 
 @pytest.fixture
-def graph(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Node, Node, SingleThreadedExecutor]]:
-    """Who watches, and somebody else's stack, in one process; a look is due after tenths of seconds."""
-    monkeypatch.setattr(stack_module, "_LISTEN_AFTER", 0.05)
-    monkeypatch.setattr(stack_module, "_SAY_EVERY", 0.6)
-    watcher, stack = rclpy.create_node("watcher"), rclpy.create_node("stack")
+def graph(domain: int) -> Iterator[Graph]:
+    theirs = rclpy.Context()  # one participant has one type a topic
+    rclpy.init(args=[], context=theirs)
+    watcher, stack = rclpy.create_node("watcher"), rclpy.create_node("stack", context=theirs)
+    watcher.create_publisher(Odometry, "ego/odometry", STREAM)
+    watcher.create_publisher(LaserScan, "ego/scan", STREAM)
+    watcher.create_publisher(Clock, "/clock", STREAM)
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
-    yield watcher, stack, executor
+    yield Graph(watcher, stack, executor)
     executor.shutdown()
     for node in (watcher, stack):
         node.destroy_node()
+    rclpy.try_shutdown(context=theirs)
 
 
-def said(
-    graph: tuple[Node, Node, SingleThreadedExecutor],
-    publisher: Any = None,
-    message: Any = None,
-    *,
-    state_came: bool = True,
-) -> str:
-    """The first line of a wait, while messages are published."""
-    watcher, _, executor = graph
-    lines: list[str] = []
-    commands = FirstCommands(watcher, [Awaited(COMMANDS, ACCELERATIONS)], lines.append)
-    commands.begin(START)
+def listens(kind: type, topic: str, quality: QoSProfile | int = 10) -> Make:
+    return lambda node: node.create_subscription(kind, topic, lambda _message: None, quality)
 
-    def look() -> list[str]:
-        if publisher is not None:
-            publisher.publish(message)
-        executor.spin_once(timeout_sec=0.02)
-        commands.look(state_came=state_came)
-        return lines
 
-    wait_until(look, "a line")
-    commands.end()
-    assert not list(watcher.subscriptions)
-    return lines[0]
+def publishes(kind: type, topic: str = COMMANDS.topic, quality: QoSProfile | int = 10) -> Make:
+    return lambda node: node.create_publisher(kind, topic, quality)
 
 
 def stamped(nanoseconds: int) -> AccelStamped:
     message = AccelStamped()
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanoseconds, SECOND)
     return message
 
 
-def test_nobody_is_there(graph: Any) -> None:
-    watcher, stack, _ = graph
-    stack.destroy_node()
-    wait_until(lambda: len(watcher.get_node_names()) == 1)
-    assert said(graph) == (
-        f"waiting for {COMMANDS} (0.6 s): nobody publishes on {COMMANDS}; there is no node on the graph but SKD's own"
-    )
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+PUNCTUAL = QoSProfile(depth=10, deadline=Duration(seconds=0.1))
+HEARS, COMMANDS_IT = listens(Odometry, "/ego/odometry"), publishes(AccelStamped)
+FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {
+    "wrong type": ((HEARS, publishes(Twist)), "-p command_type:=twist", {}),
+    "quality of service": (
+        (HEARS, publishes(AccelStamped, quality=BEST_EFFORT)),
+        "qos_overrides./ego/acceleration_command.publisher.reliability",
+        {},
+    ),
+    "wrong type of subscription": (
+        (COMMANDS_IT, listens(PoseStamped, "/ego/odometry")),
+        "listens to /ego/odometry for geometry_msgs/msg/PoseStamped, it has nav_msgs/msg/Odometry",
+        {},
+    ),
+    "quality of service of subscription": (
+        (COMMANDS_IT, listens(Odometry, "/ego/odometry", KEPT)),
+        "/ego/odometry with a durability that is not offered",
+        {},
+    ),
+    "quality of service of subscription ": (
+        (COMMANDS_IT, listens(Odometry, "/ego/odometry", PUNCTUAL)),
+        "/ego/odometry with a deadline that is not offered",
+        {},
+    ),
+    "zero stamp": ((HEARS, COMMANDS_IT), "-p quiet_time:=0.1 or --pacing real_time", {"newest": 0}),
+    "wall clock": ((HEARS, COMMANDS_IT), "set use_sim_time:=true", {"newest": 1_700_000_000 * SECOND}),
+    "other stamp": ((HEARS, COMMANDS_IT), "they lag by 3 s: ", {"newest": START - 3 * SECOND}),
+    "other stamp ": ((HEARS, COMMANDS_IT), "they are 1 s ahead: ", {"newest": START + SECOND}),
+    "other stamp  ": ((HEARS, COMMANDS_IT), "they lag by 3 s: ", {"newest": START - 3 * SECOND, "by_stamp": False}),
+    "no laser": (
+        (COMMANDS_IT, listens(LaserScan, "/ego/scan")),
+        "the scenario has no section sensor",
+        {"senses": False},
+    ),
+    "wrong topic": (
+        (HEARS, publishes(Twist, "/cmd_vel")),
+        "messages of /stack arrive on /cmd_vel (geometry_msgs/msg/Twist), and nobody listens there: "
+        "-p command_topic:=/cmd_vel -p command_type:=twist",
+        {"newest": None, "on": "/cmd_vel"},
+    ),
+    "hears nothing": (
+        (COMMANDS_IT, listens(Odometry, "/odom")),
+        "/stack listens to /odom, where nobody publishes: remap it (-r odom:=/ego/odometry)",
+        {},
+    ),
+    "perhaps wrong topic": ((HEARS, publishes(Twist, "/cmd_vel")), "-p command_topic:=/cmd_vel", {}),
+    "perhaps remapped": ((HEARS, COMMANDS_IT, listens(PoseStamped, "/goal")), "/stack listens to /goal", {}),
+    "follows the clock": ((HEARS, COMMANDS_IT, listens(Clock, "/clock")), "-p quiet_time:=0.1", {}),
+    "silent": ((HEARS, COMMANDS_IT), "has not published yet: see its log, or -p startup_timeout:=120", {}),
+    "does not publish": (
+        (HEARS,),
+        "/ego/acceleration_command; nodes that are not SKD's: /stack",
+        {},
+    ),
+}
 
 
-def test_no_simulator(graph: Any) -> None:
-    assert said(graph, state_came=False) == ("waiting for /ego/odometry (0.6 s): nobody publishes on /ego/odometry")
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_cause_is_found_and_what_mends_it_is_said(graph: Graph, name: str) -> None:
+    parts, said, shown = FAULTS[name]
+    for make in parts:
+        make(graph.stack)
+    heard = {}
+    if "newest" in shown:
+        heard = {shown.get("on", COMMANDS.topic): Heard(count=1, newest=shown["newest"])}
+    given = {key: value for key, value in shown.items() if key in ("by_stamp", "senses")}
+
+    def found() -> bool:
+        diagnosis = diagnose(Evidence(graph.watcher, COMMANDS, START, heard=heard, **given))
+        return diagnosis.cause == name.strip() and said in diagnosis.text
+
+    wait_until(found, said, timeout=10.0)
 
 
-def test_another_topic_and_type(graph: Any) -> None:
-    publisher = graph[1].create_publisher(Twist, "/cmd_vel", 10)
-    assert said(graph, publisher, Twist()).endswith(
-        f"nobody publishes on {COMMANDS}, but messages of /stack arrive on /cmd_vel (geometry_msgs/msg/Twist), and "
-        "nobody listens there: -p command_topic:=/cmd_vel -p command_type:=twist, or remap it"
-    )
+def test_a_managed_node_may_not_be_active(graph: Graph) -> None:
+    node = LifecycleNode("planner")
+    try:
+        wait_until(
+            lambda: "-p lifecycle_nodes:=/planner" in diagnose(Evidence(graph.watcher, COMMANDS, START)).text,
+            "the node",
+        )
+    finally:
+        node.destroy_node()
 
 
-def test_another_type(graph: Any) -> None:
-    publisher = graph[1].create_publisher(Twist, COMMANDS, 10)
-    assert said(graph, publisher, Twist()).endswith(
-        f"/stack publishes geometry_msgs/msg/Twist on {COMMANDS}, awaited is {ACCELERATIONS}: -p command_type:=twist"
-    )
+def test_nobody_is_there(graph: Graph) -> None:
+    graph.stack.destroy_node()
+    wait_until(lambda: diagnose(Evidence(graph.watcher, COMMANDS, START)).cause == "not there")
 
 
-def test_best_effort(graph: Any) -> None:
-    quality = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publisher = graph[1].create_publisher(AccelStamped, COMMANDS, quality)
-    assert "publish it reliable" in said(graph, publisher, stamped(START + 1))
+def test_every_cause_is_tried() -> None:
+    assert {one.name for one in CAUSES} == {name.strip() for name in FAULTS} | {"not active", "not there"}
+    assert len(CAUSES) >= 15
 
 
-@pytest.mark.parametrize(
-    ("stamp", "told"),
-    [
-        (0, "they are not set: copy the odometry's stamp"),
-        (1_700_000_000 * 10**9, "they are of the wall clock: set use_sim_time:=true"),
-        (START - 3 * 10**9, "they lag by 3 s: "),
-        (START + 10**9, "they are 1 s ahead: "),
-    ],
-)
-def test_another_stamp(graph: Any, stamp: int, told: str) -> None:
-    publisher = graph[1].create_publisher(AccelStamped, COMMANDS, 10)
-    line = said(graph, publisher, stamped(stamp))
-    assert f"(0.6 s): commands come, but their stamps are of no use: {told}" in line
+@pytest.mark.parametrize("newest", [0, START - SECOND // 2, 1_700_000_000 * SECOND])
+def test_with_a_quiet_time_any_of_these_stamps_is_an_answer(graph: Graph, newest: int) -> None:
+    heard = {COMMANDS.topic: Heard(count=1, newest=newest)}
+    assert Evidence(graph.watcher, COMMANDS, START, by_stamp=False, heard=heard).answered
+    assert not Evidence(graph.watcher, COMMANDS, START, by_stamp=True, heard=heard).answered
 
 
-def test_a_stack_that_hears_nothing(graph: Any) -> None:
-    _, stack, _ = graph
-    stack.create_publisher(AccelStamped, COMMANDS, 10)
-    stack.create_subscription(Odometry, "/odom", lambda _: None, 10)
-    assert said(graph).endswith(
-        "/stack is there and has not published yet; /stack listens to /odom, where nobody publishes: remap it"
-    )
+@pytest.mark.parametrize("certain", [True, False])
+def test_a_wait_in_vain_is_given_up(graph: Graph, monkeypatch: pytest.MonkeyPatch, certain: bool) -> None:
+    """And any wait is explained; times are shorter here, in the same proportion."""
+    for name in ("_LOOK_EVERY", "_SAY_AFTER", "_SAY_AGAIN", "_CERTAIN_AFTER"):
+        monkeypatch.setattr(stack_module, name, 0.1 * getattr(stack_module, name))
+    publisher = COMMANDS_IT(graph.stack)
+    lines: list[str] = []
+    commands = FirstCommands(graph.watcher, [COMMANDS], lines.append)
+    commands.begin(START)
+    if not certain:
+        HEARS(graph.stack)
+    begin = time.monotonic()
+
+    def look() -> bool:
+        if certain:
+            publisher.publish(stamped(0))
+        graph.executor.spin_once(timeout_sec=0.02)
+        commands.look(state_came=True)
+        return len(lines) > 1 and time.monotonic() - begin > 3.0
+
+    if certain:
+        with pytest.raises(AssessmentError, match=r"the car controller is not heard: commands come, .*quiet_time"):
+            wait_until(look, "the end")
+        assert time.monotonic() - begin < 5.0
+        assert lines[-1].startswith(f"waiting for {COMMANDS.topic} (")
+    else:
+        wait_until(look, "lines")
+        assert "has not published yet" in lines[-1]
+    commands.end()
+    assert not list(graph.watcher.subscriptions)
+
+
+def test_a_simulator_that_is_not_there_is_named(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stack_module, "_LOOK_EVERY", 0.0)
+    monkeypatch.setattr(stack_module, "_SAY_AFTER", 0.0)
+    lines: list[str] = []
+    commands = FirstCommands(graph.stack, [COMMANDS], lines.append)
+    graph.watcher.destroy_node()
+    wait_until(lambda: not graph.stack.count_publishers("/ego/odometry"))
+    commands.look(state_came=False)
+    assert "nobody publishes on /ego/odometry: vehicle_simulator is to publish it" in lines[0]

@@ -128,9 +128,35 @@ def test_silence_ends_it_after_its_limit_and_is_named(bench: Bench, tick: int, l
     end = bench.lockstep.watch(bench.now + limit + 0.01)
     assert isinstance(end, End)
     silent = f"stayed silent for {limit:g} s at tick {tick}"
-    assert end.reason == f"no answer: the adversary (adversary/velocity_command) {silent}"
+    assert end.reason.startswith(f"no answer: the adversary (adversary/velocity_command) {silent}")
+    assert end.reason.endswith("and hangs") == (tick > 0)  # it has answered before
     assert end.stamp == stamp(tick)
     assert bench.lockstep.watch(bench.now + 1e6) is None
+
+
+def test_a_late_answer_to_the_episode_before_is_no_wrong_stamp(bench: Bench) -> None:
+    """Of a node that hangs in its answer, which comes when the next episode has begun."""
+    bench.go_to(1)
+    bench.lockstep.stop()
+    later = START + 30 * 10**9
+    bench.begin(later)
+    bench.lockstep.drive(stamp(1), 1.0)
+    bench.lockstep.walk(later, (1.0, 0.0))
+    end = bench.lockstep.watch(bench.now + LIMITS.startup + 0.01)
+    assert isinstance(end, End)
+    assert end.reason.startswith("no answer: the car controller")
+
+
+def test_a_slow_car_is_told_from_one_that_hangs(bench: Bench) -> None:
+    for tick in range(3):
+        bench.lockstep.walk(stamp(tick), (1.0, 0.0))
+        bench.now += 0.5 * LIMITS.command
+        assert isinstance(bench.lockstep.drive(stamp(tick), 1.0, now=bench.now), ControlStep)
+        bench.advance(tick + 1)
+    bench.lockstep.walk(stamp(3), (1.0, 0.0))
+    end = bench.lockstep.watch(bench.now + LIMITS.command + 0.01)
+    assert isinstance(end, End)
+    assert end.reason.endswith("its answers took up to 1 s, it is too slow for -p command_timeout:=2")
 
 
 def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
@@ -141,9 +167,10 @@ def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
     assert isinstance(end, End)
     assert end.reason == (
         "wrong stamp: the car controller (ego/acceleration_command) stayed silent for 10 s at tick 0: its commands "
-        "carry other stamps (2 came; newest 6.200 s, wanted 5.000 s); they are 1.2 s ahead: copy the odometry's stamp "
-        "(and use_sim_time:=true where the node has a clock) and not started: the adversary "
-        "(adversary/velocity_command) stayed silent for 10 s at tick 0: nobody publishes"
+        "carry other stamps (2 came; newest 6.200 s, wanted 5.000 s); they are 1.2 s ahead: copy the odometry's stamp, "
+        "or, of a node with a timer, use_sim_time:=true and -p quiet_time:=0.1 or --pacing real_time, which wait for "
+        "none and not started: the adversary (adversary/velocity_command) stayed silent for 10 s at tick 0: nobody "
+        "publishes"
     )
 
 

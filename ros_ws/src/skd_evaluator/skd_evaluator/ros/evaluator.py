@@ -30,6 +30,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.options.options import CommandOptions
 from skd_sim.ros.commands import car_commands
+from skd_sim.ros.diagnosis import Awaited
 from skd_sim.ros.discovery import kind_name, living_publishers, second_publisher
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.ros.simulator_node import GraphSimulator
@@ -65,7 +66,7 @@ from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Sample
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_evaluator.ros.recording import SETTLE, BagRecorder
-from skd_evaluator.ros.stack import Awaited, FirstCommands
+from skd_evaluator.ros.stack import FirstCommands
 from skd_evaluator.ros.visualization import LiveFigures, episode_markers
 
 _FIGURES = ("double", "double[2]", "boolean")
@@ -421,7 +422,7 @@ class Evaluator(GraphNode):
         self._heard = time.monotonic()
         if problem is None:
             self._announce(episode, specification)
-            self._first_commands.begin(start)
+            self._first_commands.begin(start, senses=episode.scenario.sensor is not None)
             problem = self._wait(episode, start, specification)
             self._first_commands.end()
         problem = self._refute(episode, start) or problem

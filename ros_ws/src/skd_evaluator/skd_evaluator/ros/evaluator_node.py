@@ -12,10 +12,13 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rclpy.executors import ExternalShutdownException
+from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
-from skd_sim.options.adversary import objectives_named
+from skd_sim.options.adversary import Knowledge, objectives_named
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import CommandOptions, options_of, values_of
 from skd_sim.ros.support import NodeParameter, declare, run_node, settings_of
 from skd_sim.world.episode import Mode, Outcome
@@ -91,7 +94,7 @@ class EvaluatorProcess(Evaluator):
         values = self._settings
         scenario = scenario_for(values["scenario"], values["safe"])
         self._objectives = objectives_named(values["objective"])
-        self._plan = plan_of(values, scenario)
+        self._plan = plan_of(self._knowledge_of_one() if values["task"] == "episode" else values, scenario)
         car = self._plan.car
         if not car.is_external:
             clocked = check_controller(car, scenario)
@@ -101,6 +104,19 @@ class EvaluatorProcess(Evaluator):
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
         refuse_to_replace(folder, inputs_of(values))
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
+
+    def _knowledge_of_one(self) -> dict[str, Any]:
+        """Return the settings of a single episode, before which no car is learned.
+
+        Raises:
+            UsageError: the adversary is to know a model that is not named.
+        """
+        car = CarUnderTest(self._settings["controller"], self._settings["multiplier"])
+        if self._settings["car_model"] or car.is_known:
+            return self._settings
+        if self._settings["knowledge"] == Knowledge.LEARNED:
+            raise UsageError("task episode learns no car: name a model with car_model, or leave knowledge out")
+        return {**self._settings, "knowledge": str(Knowledge.NOTHING)}
 
     def work(self) -> int:
         """Do what the parameters ask for and return the exit code."""
@@ -174,8 +190,8 @@ class EvaluatorProcess(Evaluator):
 
     def _run_one(self, scratch: Path) -> int:
         mode = Mode[self._settings["mode"].upper()]
-        plan = self._learned() if mode == Mode.KAMIKAZE else self._plan
-        log = self.run_episode(single_episode(replace(plan, safe_count=1), mode, self._settings["trial"]))
+        plan = replace(self._plan, safe_count=1)
+        log = self.run_episode(single_episode(plan, mode, self._settings["trial"]))
         write_with_scratch(self._out, scratch, lambda folder: fill_episode(folder, log))
         line = f"{episode_line(log)}; results in {self._out.path}"
         if log.outcome == Outcome.ABORTED:

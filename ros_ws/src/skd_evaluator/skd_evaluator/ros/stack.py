@@ -4,8 +4,8 @@ Managed nodes go up and down through the services of their lifecycle (`lifecycle
 and up again: what a node has forgotten by then is settled for cleaning up (it is as after its creation; ROS 2 design,
 "Managed nodes") and for nothing less.
 
-While the first commands of an episode are awaited, the user is told every ten seconds why they do not come, and nothing
-before that: a look costs time.
+While the first commands of an episode are awaited, a line says why they do not come; where waiting does not mend it,
+it is given up within ten seconds.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -23,18 +22,12 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from skd_sim.ros.discovery import (
-    candidates,
-    class_of,
-    foreign_nodes,
-    living_publishers,
-    unheard,
-    why_no_command,
-)
-from skd_sim.ros.from_messages import from_stamp
+from skd_sim.ros.diagnosis import Awaited, Evidence, Heard, class_of, diagnose
+from skd_sim.ros.discovery import living_publishers
 from skd_sim.ros.support import EGO_ODOMETRY
 from skd_sim.world.episode import AbortKind, abort_reason
-from skd_sim.world.timing import stamp_fault
+
+from skd_evaluator.errors import AssessmentError
 
 _WAKE = 0.1  # s
 _LOST_AFTER = 2.0
@@ -203,43 +196,17 @@ def _reason(kind: AbortKind, name: str, what: str) -> str:
     return abort_reason(kind, f"{name}, a managed node of the car controller, {what}")
 
 
-_LISTEN_AFTER = 1.0
-"""s of waiting after which this node listens to what else is published: by then something is the matter."""
-_SAY_EVERY = 10.0
-_SAY_AGAIN = 3
-"""How many times as long passes until a line is said again that says nothing new."""
+_LOOK_EVERY = 1.0  # s
+_SAY_AFTER, _SAY_AGAIN = 3.0, 30.0
+"""s of waiting after which a line is said, and said again where nothing has changed."""
+_CERTAIN_AFTER = 4.0
+"""s for which the same certain cause has been seen, in the same nodes, until a wait is given up."""
 _ANY = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Fits every publisher."""
 
 
-class Awaited(NamedTuple):
-    """A kind of command that an episode needs.
-
-    Attributes:
-        topic: full name of the topic.
-        kind: type of its messages, as `geometry_msgs/msg/Twist`.
-    """
-
-    topic: str
-    kind: str
-
-
-@dataclass
-class _Heard:
-    """What has come on a topic since it is listened to: how many, and the newest stamp (ns), if they have any."""
-
-    subscription: Any = None
-    count: int = 0
-    newest: int | None = None
-
-    def take(self, message: Any) -> None:
-        self.count += 1
-        if (header := getattr(message, "header", None)) is not None:
-            self.newest = max(self.newest or 0, from_stamp(header.stamp))
-
-
 class FirstCommands:
-    """Says every ten seconds for which command an episode waits, and what is on the graph instead of it."""
+    """Says for which command an episode waits and why it does not come, and gives up a wait that is in vain."""
 
     def __init__(
         self, node: Node, awaited: Sequence[Awaited], say: Callable[[str], None], *, by_stamp: bool = True
@@ -248,93 +215,82 @@ class FirstCommands:
 
         Args:
             node: node through which the graph is seen; it has to be spun while `look` is called.
-            awaited: the commands that are awaited.
+            awaited: the commands that are awaited, the car's first.
             say: called with each line.
-            by_stamp: whether a command without a stamp (0) is of no use: only lockstep without a quiet time needs one.
+            by_stamp: whether a command has to have its state's stamp, as in lockstep without a quiet time.
         """
-        self._by_stamp = by_stamp
-        self._node = node
-        self._awaited = awaited
-        self._say = say
-        self._heard: dict[str, _Heard] = {}
+        self._node, self._awaited, self._say, self._by_stamp = node, awaited, say, by_stamp
+        self._heard: dict[str, Heard] = {}
         self.begin(0)
 
-    def begin(self, start: int) -> None:
-        """An episode was handed out: the state of its tick 0 is stamped `start` (ns)."""
+    def begin(self, start: int, *, senses: bool = True) -> None:
+        """An episode was handed out: the state of its tick 0 is stamped `start` (ns); whether its car has a laser."""
         self.end()
-        self._start = start
-        self._began = self._listened = time.monotonic()
-        self._said = 0
-        self._last: list[str] = []
+        self._start, self._senses = start, senses
+        self._began = self._looked = self._certain_since = time.monotonic()
+        self._said = -_SAY_AGAIN
+        self._causes: list[tuple[str, str]] = []
+        self._certain: tuple[str, frozenset[str]] | None = None
+        self.reasons: list[str] = []
 
     def end(self) -> None:
         """The commands are there, or will not come."""
         for heard in self._heard.values():
             self._node.destroy_subscription(heard.subscription)
         self._heard.clear()
+        self.reasons = []
 
     def look(self, *, state_came: bool) -> None:
-        """See whether something is to be said; to be called now and then while the first commands have not come.
+        """See what is wrong; to be called now and then while the first commands have not come.
 
         Args:
             state_came: whether the state of tick 0 has come.
+
+        Raises:
+            AssessmentError: waiting does not mend it.
         """
         now = time.monotonic()
-        if now - self._listened > _LISTEN_AFTER:
-            self._listened = now
-            self._listen()
-        waited = int((now - self._began) / _SAY_EVERY)
-        if waited > self._said:
-            self._said = waited
-            reasons = self._reasons(state_came=state_came)
-            if reasons != self._last or waited % _SAY_AGAIN == 0:
-                self._last = reasons
-                for reason in reasons:
-                    topic, _, why = reason.partition(": ")
-                    self._say(f"waiting for {topic} ({waited * _SAY_EVERY:g} s): {why}")
-
-    def _listen(self) -> None:
-        for topic, kind in self._awaited:
-            if any(one.kind == kind for one in living_publishers(self._node, topic)):
-                self._hear(topic, kind)
-        for topic, publisher in candidates(self._node, self._awaited[0].topic):
-            self._hear(topic, publisher.kind)
-
-    def _hear(self, topic: str, kind: str) -> None:
-        message = class_of(kind)
-        if topic not in self._heard and message is not None:
-            heard = self._heard[topic] = _Heard()
-            heard.subscription = self._node.create_subscription(message, topic, heard.take, _ANY)
-
-    def _reasons(self, *, state_came: bool) -> list[str]:
-        """Return each topic on which something is missing, and why."""
+        if now - self._looked < _LOOK_EVERY:
+            return
+        self._looked, waited = now, now - self._began
+        found = [(one, self._evidence(one)) for one in self._awaited] if state_came else []
+        diagnoses = [(one.topic, diagnose(seen)) for one, seen in found if not seen.answered]
+        for _, seen in found:
+            self._listen(seen)
+        causes = [(topic, one.cause) for topic, one in diagnoses]
+        self.reasons = [f"{topic}: {one.text}" for topic, one in diagnoses]
         if not state_came:
             topic = self._node.resolve_topic_name(EGO_ODOMETRY)
             publishers = living_publishers(self._node, topic)
             why = f"{publishers[0].name} is there and says nothing" if publishers else f"nobody publishes on {topic}"
-            return [f"{topic}: {why}"]
-        return [f"{one.topic}: {self._why(one)}" for one in self._awaited if not self._answered(one)]
+            self.reasons, causes = [f"{topic}: {why}: vehicle_simulator is to publish it"], [(topic, "")]
+        if waited >= _SAY_AFTER and (causes != self._causes or waited - self._said >= _SAY_AGAIN):
+            self._causes, self._said = causes, waited
+            for reason in self.reasons:
+                topic, _, why = reason.partition(": ")
+                self._say(f"waiting for {topic} ({waited:.0f} s): {why}")
+        if diagnoses and diagnoses[0][0] == self._awaited[0].topic and diagnoses[0][1].certain:
+            certain = diagnoses[0][1].cause, frozenset(found[0][1].listening)
+            if certain != self._certain:
+                self._certain, self._certain_since = certain, now
+            elif now - self._certain_since >= _CERTAIN_AFTER:
+                raise AssessmentError(f"the car controller is not heard: {diagnoses[0][1].text}")
+        else:
+            self._certain = None
 
-    def _answered(self, one: Awaited) -> bool:
-        heard = self._heard.get(one.topic)
-        if heard is None or not heard.count:
-            return False
-        return heard.newest in (None, self._start) or (not self._by_stamp and not heard.newest)
+    def _evidence(self, awaited: Awaited) -> Evidence:
+        return Evidence(self._node, awaited, self._start, self._by_stamp, self._senses, self._heard)
 
-    def _why(self, one: Awaited) -> str:
-        def arrives(topic: str) -> bool:
-            return topic in self._heard and self._heard[topic].count > 0
+    def _listen(self, seen: Evidence) -> None:
+        topic, kind = seen.awaited
+        if any(one.kind == kind for one in seen.publishers):
+            self._hear(topic, kind)
+        if topic == self._awaited[0].topic:
+            for name, publisher in seen.candidates:
+                self._hear(name, publisher.kind)
 
-        why = why_no_command(self._node, one.topic, one.kind, arrives)
-        if not why and arrives(one.topic):
-            fault = stamp_fault(self._heard[one.topic].newest or 0, self._start)
-            return f"commands come, but their stamps are of no use: {fault}"
-        if not why:
-            names = ", ".join(publisher.name for publisher in living_publishers(self._node, one.topic))
-            why = f"{names} is there and has not published yet"
-        deaf = [f"{name} listens to {topic}" for name, topic in unheard(self._node)]
-        if deaf:
-            return f"{why}; {' and '.join(deaf)}, where nobody publishes: remap it"
-        if not foreign_nodes(self._node):
-            return f"{why}; there is no node on the graph but SKD's own"
-        return why
+    def _hear(self, topic: str, kind: str) -> None:
+        message = class_of(kind)
+        if topic not in self._heard and message is not None:
+            heard = self._heard[topic] = Heard()
+            heard.subscription = self._node.create_subscription(message, topic, heard.take, _ANY)

@@ -47,6 +47,7 @@ class Source:
         topic: topic on which its commands are published.
         senders: what the middleware knows of those who publish there.
         command: command for the coming step; None until it has come.
+        has_answered: whether it has ever answered a tick with its stamp.
     """
 
     def __init__(self, who: str, topic: str, senders: Senders) -> None:
@@ -55,6 +56,7 @@ class Source:
         self.topic = topic
         self.senders = senders
         self._alone = f"{who} ({topic})"
+        self.has_answered = False
         self.begin()
 
     def begin(self) -> None:
@@ -74,6 +76,7 @@ class Source:
     def note(self, stamp: int, answer: tuple[float, ...]) -> None:
         """Take note of the first answer with a stamp (ns)."""
         self._answers[stamp] = answer
+        self.has_answered = True
 
     def ignore(self, stamp: int) -> None:
         """Take note of a command that is for no tick that is wanted."""
@@ -107,13 +110,14 @@ class Source:
         crowd = self.senders.crowd()
         return None if crowd is None else abort_reason(AbortKind.SECOND_SENDER, crowd)
 
-    def silence(self, wanted: int, limit: float, tick: int) -> str:
+    def silence(self, wanted: int, limit: float, tick: int, slowest: float) -> str:
         """Return why there is no answer to a tick, as a reason.
 
         Args:
             wanted: stamp of the tick for which a command is missing, ns.
             limit: how long the command was waited for, s of wall time.
             tick: number of that tick.
+            slowest: longest time that an answer took in this episode, s; 0: not known.
         """
         silent = f"{self._alone} stayed silent for {limit:g} s at tick {tick}"
         if self._ignored:
@@ -123,8 +127,14 @@ class Source:
                 f"wanted {_seconds(wanted)}); {stamp_fault(self._newest, wanted)}",
             )
         if self.senders.count():
-            return abort_reason(AbortKind.NO_ANSWER, silent)
+            how = f"; it has answered {len(self._answers)} times before, and hangs" if self._answers else ""
+            if slowest > _SLOW * limit:
+                how = f"; its answers took up to {slowest:.2g} s, it is too slow for -p command_timeout:={limit:g}"
+            return abort_reason(AbortKind.NO_ANSWER, f"{silent}{how}")
         return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")
+
+
+_SLOW = 0.3  # of the limit
 
 
 def _seconds(stamp: int) -> str:
@@ -317,7 +327,11 @@ class Lockstep:
         limit = self._limits.startup if first else self._limits.command
         if now - self._progress > limit:
             silent = (source for source in (self._car, self._adversary) if self._waits_for(source))
-            reasons = [source.silence(self.stamp, limit, frame.tick) for source in silent]
+            slowest = max(self.ages.ages, default=0.0)
+            reasons = [
+                source.silence(self.stamp, limit, frame.tick, slowest if source is self._car else 0.0)
+                for source in silent
+            ]
             return self._end(Outcome.ABORTED, " and ".join(reasons))
         if first and now - self._published > REPEAT_PERIOD:
             self._published = now
@@ -362,7 +376,8 @@ class Lockstep:
                 return None if problem is None else self._end(Outcome.ABORTED, problem)
             source.note(stamp, answer)
         if stamp is not None and not self._wants(stamp):
-            source.ignore(stamp)
+            if stamp >= self._start or not source.has_answered:  # else it is late, of the episode before
+                source.ignore(stamp)
             return None
         if not _finite(answer):
             return self._not_finite(source, answer)

@@ -22,7 +22,8 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import UsageError
 from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, SimulatorOptions, StateOptions, values_of
 from skd_sim.ros.commands import Quantity, car_commands, follow_speed
-from skd_sim.ros.discovery import kind_name, publisher_names, second_publisher, why_no_command
+from skd_sim.ros.diagnosis import Awaited, Evidence, diagnose
+from skd_sim.ros.discovery import kind_name, publisher_names, second_publisher
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
 from skd_sim.ros.lockstep import (
     Action,
@@ -78,9 +79,8 @@ class _Senders:
         return publisher_names(self._node, self._subscription.topic_name)
 
     def absence(self) -> str:
-        name = self._subscription.topic_name
-        why = why_no_command(self._node, name, kind_name(self._subscription.msg_type))
-        return why or f"what is published on {name} does not reach this node"
+        awaited = Awaited(self._subscription.topic_name, kind_name(self._subscription.msg_type))
+        return diagnose(Evidence(self._node, awaited)).text
 
 
 class _OneSender:

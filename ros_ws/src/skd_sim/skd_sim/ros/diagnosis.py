@@ -1,0 +1,399 @@
+"""Why a command does not come: a table of causes, each with what the graph shows of it and what mends it.
+
+The first cause that fits is the diagnosis. A *certain* one is not mended by waiting. Looked at only while something is
+wrong, so that it costs a running episode nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+
+from skd_sim.errors import UsageError
+from skd_sim.ros.commands import NAMED_FORMATS, message_class, number_paths
+from skd_sim.ros.discovery import PARAMETER_EVENTS, Publisher, endpoint_name, living_publishers
+from skd_sim.ros.from_messages import from_stamp
+from skd_sim.ros.lockstep import LEAD
+from skd_sim.ros.support import (
+    ADVERSARY_DETECTIONS,
+    ADVERSARY_ODOMETRY,
+    CLOCK,
+    EGO_IMU,
+    EGO_ODOMETRY,
+    EGO_POINTS,
+    EGO_SCAN,
+    EPISODE,
+    STREAM,
+    TF,
+    VELOCITY_COMMAND,
+)
+from skd_sim.world.timing import WALL_CLOCK, stamp_fault
+
+_STATES = (EGO_ODOMETRY, ADVERSARY_ODOMETRY, EGO_SCAN, EGO_POINTS, EGO_IMU, ADVERSARY_DETECTIONS, TF)
+"""Topics by which a stack sees the car, or whom it may hit."""
+_NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
+_WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
+_POLICIES = {"effort": "reliability", "volatile": "durability", "deadline": "deadline", "live": "liveliness"}
+"""Words of the middleware's reasons, and the policy of which they are."""
+_MOST = 3  # topics that one line names
+_HIDDEN = "_"  # names of nodes that do not count as part of a graph begin so, those of ROS 2's command line too
+_OF_EVERY_NODE = ("/rosout", PARAMETER_EVENTS)
+
+
+@dataclass
+class Heard:
+    """What has come on a topic since it is listened to: how many, and the newest stamp (ns), if they have any."""
+
+    subscription: Any = None
+    count: int = 0
+    newest: int | None = None
+
+    def take(self, message: Any) -> None:
+        """Take a message."""
+        self.count += 1
+        if (header := getattr(message, "header", None)) is not None:
+            self.newest = max(self.newest or 0, from_stamp(header.stamp))
+
+
+class Awaited(NamedTuple):
+    """A kind of command that an episode needs.
+
+    Attributes:
+        topic: full name of the topic.
+        kind: type of its messages, as `geometry_msgs/msg/Twist`.
+    """
+
+    topic: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the graph shows of a command that does not come.
+
+    Attributes:
+        node: node through which the graph is seen.
+        awaited: the command.
+        stamp: stamp of the state that is to be answered, ns; none: not known.
+        by_stamp: whether a command has to carry that stamp, as in lockstep without a quiet time.
+        senses: whether the car of the episode has a laser.
+        heard: what has come, by topic, where somebody has listened.
+    """
+
+    node: Node
+    awaited: Awaited
+    stamp: int | None = None
+    by_stamp: bool = True
+    senses: bool = True
+    heard: Mapping[str, Heard] = field(default_factory=dict)
+
+    @cached_property
+    def publishers(self) -> list[Publisher]:
+        """Who publishes on its topic."""
+        return living_publishers(self.node, self.awaited.topic)
+
+    @cached_property
+    def own(self) -> set[str]:
+        """Names of the nodes that play SKD's parts."""
+        topics = (EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND)
+        roles = {one.name for topic in topics for one in living_publishers(self.node, topic)}
+        return roles | {self.node.get_fully_qualified_name()}
+
+    @cached_property
+    def listening(self) -> dict[str, dict[str, list[str]]]:
+        """Of each node that is not SKD's the topics to which it listens, with their types."""
+        found = {}
+        for name, space in self.node.get_node_names_and_namespaces():
+            full = f"{space.rstrip('/')}/{name}"
+            if full not in self.own and not name.startswith(_HIDDEN):
+                try:
+                    topics = self.node.get_subscriber_names_and_types_by_node(name, space)
+                except Exception:  # it has just gone
+                    continue
+                found[full] = {topic: kinds for topic, kinds in topics if topic not in _OF_EVERY_NODE}
+        return found
+
+    @cached_property
+    def candidates(self) -> list[tuple[str, Publisher]]:
+        """Other topics on which somebody publishes what may be commands and nobody listens, the likeliest first."""
+        found = []
+        for name, kinds in self.node.get_topic_names_and_types():
+            if name == self.awaited.topic or name in _OF_EVERY_NODE or not any(_rank(name, kind) for kind in kinds):
+                continue
+            if {endpoint_name(one) for one in self.node.get_subscriptions_info_by_topic(name)} - self.own:
+                continue  # SKD listens to find out what comes
+            foreign = [one for one in living_publishers(self.node, name) if one.name not in self.own]
+            found += [(name, one) for one in foreign[:1] if _rank(name, one.kind)]
+        return sorted(found, key=lambda one: (_rank(one[0], one[1].kind), one[0]))[:_MOST]
+
+    def full(self, topic: str) -> str:
+        """Return a topic's full name."""
+        return str(self.node.resolve_topic_name(topic))
+
+    def has_come(self, topic: str) -> bool:
+        """Whether messages have come on a topic."""
+        return topic in self.heard and self.heard[topic].count > 0
+
+    @property
+    def newest(self) -> int | None:
+        """Newest stamp of the commands that came, ns; none where none came, or they have no stamp."""
+        return self.heard[self.awaited.topic].newest if self.has_come(self.awaited.topic) else None
+
+    @property
+    def answered(self) -> bool:
+        """Whether a command came that counts."""
+        if not self.has_come(self.awaited.topic) or any(one.find(self) for one in _STAMPS):
+            return False
+        return self.newest is None or not self.by_stamp or self.newest == self.stamp
+
+
+class Cause(NamedTuple):
+    """A cause.
+
+    Attributes:
+        name: what it is called.
+        certain: whether waiting does not mend it.
+        find: returns what is seen and what mends it; none where it is another cause.
+    """
+
+    name: str
+    certain: bool
+    find: Callable[[Evidence], str | None]
+
+
+class Diagnosis(NamedTuple):
+    """Why a command does not come: the cause's name, whether it is certain, and in words."""
+
+    cause: str
+    certain: bool
+    text: str
+
+
+def diagnose(evidence: Evidence) -> Diagnosis:
+    """Return the first cause that fits."""
+    found = ((one, one.find(evidence)) for one in CAUSES)
+    return next(Diagnosis(one.name, one.certain, text) for one, text in found if text)
+
+
+def _type(seen: Evidence) -> str | None:
+    if not seen.publishers or any(one.kind == seen.awaited.kind for one in seen.publishers):
+        return None
+    other, (topic, kind) = seen.publishers[0], seen.awaited
+    return f"{other.name} publishes {other.kind} on {topic}, awaited is {kind}: {_option(other.kind)}"
+
+
+def _misfit(offered: QoSProfile, requested: QoSProfile) -> str:
+    """Return which policy does not fit, in lower case; empty where a message can come through."""
+    fits, why = qos_check_compatible(offered, requested)
+    if fits != QoSCompatibility.ERROR:
+        return ""
+    found = (policy for word, policy in _POLICIES.items() if word in str(why).lower())
+    return next(found, "quality of service")
+
+
+def _qos_of_publisher(seen: Evidence) -> str | None:
+    topic, kind = seen.awaited
+    fitting = [one for one in seen.publishers if one.kind == kind]
+    misfits = [(one.name, _misfit(one.quality, STREAM)) for one in fitting]
+    if not misfits or not all(policy for _, policy in misfits):
+        return None
+    name, policy = misfits[0]
+    how = "best effort, and nothing may be lost here: publish it reliable" if policy == "reliability" else "too weak"
+    return f"{name} publishes {topic} with a {policy} that is {how} (qos_overrides.{topic}.publisher.{policy})"
+
+
+def _state_subscriptions(seen: Evidence) -> list[tuple[str, str, Any, Any]]:
+    """Return (node, topic, its subscription, our publisher) for each of SKD's states that a node of others hears."""
+    found = []
+    for topic in (*_STATES, CLOCK):
+        ours = [
+            one for one in seen.node.get_publishers_info_by_topic(seen.full(topic)) if endpoint_name(one) in seen.own
+        ]
+        for one in seen.node.get_subscriptions_info_by_topic(seen.full(topic)):
+            if ours and endpoint_name(one) in seen.listening:
+                found.append((endpoint_name(one), seen.full(topic), one, ours[0]))
+    return found
+
+
+def _type_of_subscription(seen: Evidence) -> str | None:
+    for name, topic, theirs, ours in _state_subscriptions(seen):
+        if theirs.topic_type != ours.topic_type:
+            return f"{name} listens to {topic} for {theirs.topic_type}, it has {ours.topic_type}: take that"
+    return None
+
+
+def _qos_of_subscription(seen: Evidence) -> str | None:
+    for name, topic, theirs, ours in _state_subscriptions(seen):
+        policy = _misfit(ours.qos_profile, theirs.qos_profile)
+        if policy:
+            return (
+                f"{name} listens to {topic} with a {policy} that is not offered: "
+                f"qos_overrides.{topic}.subscription.{policy}, or depth 10 alone"
+            )
+    return None
+
+
+def _zero_stamp(seen: Evidence) -> str | None:
+    return _of_stamp(seen) if seen.by_stamp and seen.newest == 0 else None
+
+
+def _wall_clock(seen: Evidence) -> str | None:
+    return _of_stamp(seen) if seen.by_stamp and (seen.newest or 0) > WALL_CLOCK else None
+
+
+def _other_stamp(seen: Evidence) -> str | None:
+    if not seen.newest or seen.stamp is None or seen.newest == seen.stamp:
+        return None
+    return _of_stamp(seen) if seen.by_stamp or seen.newest < seen.stamp - LEAD else None
+
+
+def _of_stamp(seen: Evidence) -> str:
+    assert seen.newest is not None
+    return f"commands come, but their stamps are of no use: {stamp_fault(seen.newest, seen.stamp or 0)}"
+
+
+_STAMPS = (
+    Cause("zero stamp", True, _zero_stamp),
+    Cause("wall clock", True, _wall_clock),
+    Cause("other stamp", True, _other_stamp),
+)
+
+
+def _without_laser(seen: Evidence) -> str | None:
+    if seen.senses:
+        return None
+    scans = {seen.full(EGO_SCAN), seen.full(EGO_POINTS)}
+    for name, topics in seen.listening.items():
+        if found := scans & topics.keys():
+            return f"{name} listens to {min(found)}, and the scenario has no section sensor: add one"
+    return None
+
+
+def _not_active(seen: Evidence) -> str | None:
+    kind = "lifecycle_msgs/srv/GetState"
+    services = [name for name, kinds in seen.node.get_service_names_and_types() if kind in kinds]
+    managed = sorted(name.removesuffix("/get_state") for name in services)
+    if not managed or seen.has_come(seen.awaited.topic):
+        return None
+    return f"managed nodes may not be active: -p reset:=lifecycle -p lifecycle_nodes:={','.join(managed)}"
+
+
+def _elsewhere(seen: Evidence) -> str | None:
+    if seen.publishers or not seen.candidates or seen.awaited.topic == seen.full(VELOCITY_COMMAND):
+        return None
+    name, publisher = seen.candidates[0]
+    come = "messages of {} arrive on {}" if seen.has_come(name) else "{} publishes on {}"
+    option = "" if publisher.kind == seen.awaited.kind else f" {_option(publisher.kind)}"
+    more = f" (or on {', '.join(other for other, _ in seen.candidates[1:])})" if len(seen.candidates) > 1 else ""
+    return (
+        f"nobody publishes on {seen.awaited.topic}, but {come.format(publisher.name, name)} ({publisher.kind}){more}, "
+        f"and nobody listens there: -p command_topic:={name}{option}, or remap it"
+    )
+
+
+def _arrives_elsewhere(seen: Evidence) -> str | None:
+    return _elsewhere(seen) if any(seen.has_come(name) for name, _ in seen.candidates) else None
+
+
+def _hears_nothing(seen: Evidence) -> str | None:
+    """Of a stack that listens to topics where nobody publishes, and to none by which it could see anything."""
+    states = {seen.full(topic) for topic in _STATES}
+    if any(states & topics.keys() for topics in seen.listening.values()):
+        return None
+    return _unpublished(seen)
+
+
+def _unpublished(seen: Evidence) -> str | None:
+    lacking = [
+        f"{name} listens to {topic}"
+        for name, topics in seen.listening.items()
+        for topic in topics
+        if not seen.node.count_publishers(topic)
+    ]
+    if not lacking:
+        return None
+    return f"{' and '.join(lacking[:_MOST])}, where nobody publishes: remap it (-r odom:=/{EGO_ODOMETRY})"
+
+
+def _follows_clock(seen: Evidence) -> str | None:
+    named = {one.name for one in seen.publishers}
+    for name, topics in seen.listening.items():
+        if seen.by_stamp and seen.full(CLOCK) in topics and name in named:
+            return (
+                f"{name} is there, has not published, and listens to {CLOCK}, which waits for its command: where it "
+                "decides by a timer, -p quiet_time:=0.1"
+            )
+    return None
+
+
+def _silent(seen: Evidence) -> str | None:
+    names = " and ".join(sorted({one.name for one in seen.publishers}))
+    return f"{names} is there and has not published yet: see its log, or -p startup_timeout:=120" if names else None
+
+
+def _does_not_publish(seen: Evidence) -> str | None:
+    if not seen.listening:
+        return None
+    names = ", ".join(sorted(seen.listening)[:_MOST])
+    return f"nobody publishes on {seen.awaited.topic}; nodes that are not SKD's: {names}"
+
+
+def _nobody(seen: Evidence) -> str:
+    return (
+        f"nobody publishes on {seen.awaited.topic}, and there is no node but SKD's own: start it, in the same "
+        "ROS_DOMAIN_ID"
+    )
+
+
+CAUSES = (
+    Cause("wrong type", True, _type),
+    Cause("quality of service", True, _qos_of_publisher),
+    Cause("wrong type of subscription", True, _type_of_subscription),
+    Cause("quality of service of subscription", True, _qos_of_subscription),
+    *_STAMPS,
+    Cause("no laser", True, _without_laser),
+    Cause("not active", False, _not_active),
+    Cause("wrong topic", True, _arrives_elsewhere),
+    Cause("hears nothing", True, _hears_nothing),
+    Cause("perhaps wrong topic", False, _elsewhere),
+    Cause("perhaps remapped", False, _unpublished),
+    Cause("follows the clock", False, _follows_clock),
+    Cause("silent", False, _silent),
+    Cause("does not publish", False, _does_not_publish),
+    Cause("not there", False, _nobody),
+)
+"""In the order in which they are tried."""
+
+
+def class_of(kind: str) -> type | None:
+    """Return the class of a type's messages; none where it cannot be imported here."""
+    try:
+        return message_class(kind)
+    except UsageError:
+        return None
+
+
+def _option(kind: str) -> str:
+    """Return the options that would take messages of a type as commands."""
+    if kind in _NAMES:
+        return f"-p command_type:={_NAMES[kind]}"
+    message = class_of(kind)
+    numbers = [] if message is None else [path for path in number_paths(message) if "covariance" not in path]
+    likely = [path for path in numbers if any(word in path for word in ("accel", "speed", "velocity"))]
+    found = next(iter([*likely, *numbers]), "…")
+    return f"-p command_type:={kind} -p command_field:={found}"
+
+
+def _rank(topic: str, kind: str) -> int:
+    """Return how likely commands come on a topic: 1 the likeliest, 0 not at all."""
+    if kind in _NAMES:
+        return 1
+    named = any(word in f"{topic} {kind}".lower() for word in _WORDS)
+    message = class_of(kind)
+    numeric = message is None or next(number_paths(message), None) is not None
+    return 2 if named and numeric else 0
