@@ -61,6 +61,14 @@ class Drifts(Named):
         return super().step(acceleration, (velocity[0] + 0.14, velocity[1]))
 
 
+class Jumps(Named):
+    """Its car is thirty metres further on from the second tick on."""
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        frame = super().step(acceleration, velocity)
+        return frame if frame.tick < 2 else frame._replace(car=frame.car._replace(y=frame.car.y + 30.0))
+
+
 class Elsewhere(Named):
     """Its pedestrian starts two metres further North."""
 
@@ -117,7 +125,7 @@ class Dies(Named):
 @pytest.fixture(autouse=True)
 def simulators(monkeypatch: pytest.MonkeyPatch) -> None:
     for one in (
-        Named, NanSpeed, Forgetful, Stays, Drifts, Elsewhere, Raises, Skips, NoFrame, Endless, Dies,
+        Named, NanSpeed, Forgetful, Stays, Drifts, Jumps, Elsewhere, Raises, Skips, NoFrame, Endless, Dies,
     ):  # fmt: skip
         monkeypatch.setitem(SIMULATORS.own, one.__name__.lower(), f"{__name__}:{one.__name__}")
 
@@ -152,6 +160,7 @@ def test_the_world_by_another_name_is_the_world():
         ("stays", AbortKind.REFUTED, "in tick 1 the adversary goes 0.42 m beside where it was told to go"),
         ("drifts", AbortKind.REFUTED, "the adversary is 1.0"),
         ("elsewhere", AbortKind.REFUTED, "the adversary starts 2 m from where the specification has it"),
+        ("jumps", AbortKind.REFUTED, "gave what cannot have happened: the car goes 32"),
         ("endless", AbortKind.REFUTED, ""),
     ],
 )

@@ -93,17 +93,14 @@ def test_a_state_that_cannot_be(
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("episode_id", 2 << 48),
         ("mode", 0),
         ("mode", 9),
         ("multiplier", math.nan),
         ("maximum_distance", math.inf),
-        ("controller", "basid"),
         ("objective", "fun"),
         ("car_model", "{"),
         ("scenario", "[" * 100_000),
         ("scenario", "{}"),
-        ("safe_trajectory_time_step", 0.2),
         ("safe_trajectory", []),
     ],
 )
@@ -113,8 +110,6 @@ def test_a_specification_that_cannot_be(
     """Of the only episode, so that no other contradicts it."""
     (episode,) = campaign_messages([logs[index_of(logs, Outcome.COLLISION)]])
     one = forged(episode, 0, field, value)
-    if field == "episode_id":
-        one = forged(one, len(one) - 1, field, value)
     assert "episode" in refused(recorded([one]))
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from skd_adversary.car_models.car_model_file import fitted_car
 from skd_adversary.crossing.model import choices
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.path import path_velocities
@@ -294,6 +295,8 @@ def examine(log: EpisodeLog) -> Verdict:
     `deviation` says by how much: logs of another simulator have one.
     """
     try:
+        if log.episode.car_model:
+            fitted_car(log.episode.car_model)
         if fault := _form(log):
             return Verdict(fault)
         if not np.isfinite(log.car).all():
