@@ -22,13 +22,14 @@ from skd_evaluator.metrics.surrogate_measures import (
     greatest_required_deceleration,
     headways,
     least_clearance,
-    post_encroachment_time,
+    post_encroachment_times,
     required_decelerations,
     surrogate_measures,
 )
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scene_of, velocities
 from skd_sim.scenario.scenario import load_scenario
 
+NORTH = math.pi / 2.0
 FOOTPRINT = 2.25, 1.75, 0.9
 SCENES = 200
 
@@ -155,7 +156,7 @@ def test_an_episode_is_a_scene_on_its_lane():
     scenario = load_scenario("crossing")
     times = np.array([0.0, 0.3, 0.6])
     adversary = np.array([[-3.5, 0.0], [-2.9, 0.0], [-2.3, 0.1]])
-    car = np.array([[0.0, -15.25, 8.0], [0.0, -12.85, 8.0], [0.0, -10.45, 8.0]])
+    car = np.array([[0.0, y, NORTH, 8.0] for y in (-15.25, -12.85, -10.45)])
     scene = scene_of(scenario, times, adversary, car)
     assert scene.gap == pytest.approx([12.75, 10.35, 8.05])
     assert scene.seen[0] == pytest.approx([15.25, 3.5])  # ahead, and to the left: in the West of who drives North
@@ -180,12 +181,16 @@ def crossing_at(rng: np.random.Generator) -> tuple[Interaction, float]:
     return scene, max(0.0, arrives - leaves, enters - gone)
 
 
+def encroachment(scene: Interaction) -> float:
+    return float(post_encroachment_times(Interactions.of(scene))[0])
+
+
 def test_post_encroachment_times_are_those_of_the_four_moments():
     rng = np.random.default_rng(6)
     kinds = set()
     for _ in range(SCENES):
         scene, expected = crossing_at(rng)
-        assert post_encroachment_time(scene) == pytest.approx(expected, abs=1e-6)
+        assert encroachment(scene) == pytest.approx(expected, abs=1e-6)
         kinds.add(expected > 0.0)
     assert kinds == {True, False}
 
@@ -193,12 +198,11 @@ def test_post_encroachment_times_are_those_of_the_four_moments():
 def test_a_car_that_stops_before_has_no_post_encroachment_time():
     scene, _ = crossing_at(np.random.default_rng(7))
     stands = Interaction(scene.times, np.tile(scene.car[:1], (7, 1)), scene.other, scene.velocity, *_rest(scene))
-    assert math.isnan(post_encroachment_time(stands))
+    assert math.isnan(encroachment(stands))
     turns = Interaction(
         scene.times, scene.car + np.linspace(0, 1, 7)[:, None], scene.other, scene.velocity, *_rest(scene)
     )
-    with pytest.raises(ValueError, match="straight way"):
-        post_encroachment_time(turns)
+    assert math.isnan(encroachment(turns))
 
 
 def test_what_a_contact_does():
@@ -212,8 +216,6 @@ def test_what_a_contact_does():
         together = mass * closing / (mass + other)
         assert delta_v(closing, mass, other) == pytest.approx(closing - together, abs=1e-6)
         assert delta_v(closing, other, mass) == pytest.approx(together, abs=1e-6)
-    with pytest.raises(ValueError, match="above 0 kg"):
-        delta_v(5.0, 0.0, 70.0)
 
 
 @pytest.mark.parametrize(("kmh", "published"), [(30, 0.05), (37, 0.10), (59, 0.50), (69, 0.75), (80, 0.90)])
@@ -230,7 +232,7 @@ def test_the_measures_of_an_episode():
     scenario = load_scenario("crossing")
     times = 0.3 * np.arange(9)
     phi = np.column_stack([-3.5 + 1.4 * times, np.zeros(9)])
-    car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, 6.0)])
+    car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, NORTH), np.full(9, 6.0)])
     found = episode_measures(scenario, EpisodeMotion(times, phi, car), collided=False)
     scene = scene_of(scenario, times, phi, car)
     assert found["clearance"] == least_clearance(scene)
@@ -251,9 +253,8 @@ def test_episodes_together_are_what_they_are_alone(name):
         count = int(rng.integers(2, 9))
         times = np.cumsum(rng.uniform(0.1, 0.4, count))
         adversary = np.cumsum(rng.uniform(-0.6, 0.6, (count, 2)), axis=0) + rng.uniform(-4.0, 4.0, 2)
-        car = np.column_stack(
-            [np.zeros(count), np.cumsum(rng.uniform(0.0, 2.0, count)) - 8.0, rng.uniform(0, 9, count)]
-        )
+        along, speeds = np.cumsum(rng.uniform(0.0, 2.0, count)) - 8.0, rng.uniform(0, 9, count)
+        car = np.column_stack([np.zeros(count), along, np.full(count, NORTH), speeds])
         courses.append(EpisodeMotion(times, adversary, car))
     together = surrogate_measures(scenario, courses, collided)
     for number, one in enumerate(courses):

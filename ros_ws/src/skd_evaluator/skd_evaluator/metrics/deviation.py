@@ -37,7 +37,7 @@ _ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording ma
 
 
 def deviation(phi: npt.ArrayLike, psi: npt.ArrayLike, duration: float) -> float:
-    """Return the deviation of one pair, by the plain formula.
+    """Return the deviation of one pair.
 
     Args:
         phi: n × d positions at ticks 0 … n − 1, m; n ≥ 1, finite.
@@ -51,18 +51,11 @@ def deviation(phi: npt.ArrayLike, psi: npt.ArrayLike, duration: float) -> float:
         ValueError: an array is empty, is not n × d, or has a value that is not finite; the two d differ; or the
             duration is not one of so many positions.
     """
-    first, second = _points(phi, "phi"), _points(psi, "psi")
-    time = _checked(first, second, duration, "psi")
-    ticks = max(len(second) - 2, 0)
-    held = first[np.minimum(np.arange(ticks + 2), len(first) - 1)]
-    there = np.vstack([held[: len(second) - 1], held[ticks] + (time - ticks) * (held[ticks + 1] - held[ticks])])
-    # Coordinate by coordinate, as the kernel adds them up: numpy sums a row in an order of its own.
-    squared = sum((second[:, axis] - there[:, axis]) ** 2 for axis in range(second.shape[1]))
-    return math.sqrt(float(np.max(squared)))
+    return float(deviation_pairs(phi, [psi], [duration])[0])
 
 
 def deviation_pairs(phi: npt.ArrayLike, psis: Sequence[npt.ArrayLike], durations: npt.ArrayLike) -> FloatArray:
-    """Return the deviations of many ψ of one φ, the same bits as `deviation` gives.
+    """Return the deviations of many ψ of one φ.
 
     Args:
         phi: n × d positions at ticks, m; n ≥ 1, finite.

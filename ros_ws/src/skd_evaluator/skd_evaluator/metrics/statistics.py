@@ -147,10 +147,7 @@ def frechet_probability_bound(eta: float, mean: float, variance: float) -> float
     Raises:
         ValueError: η outside (0, δ), or a mean or variance that no distance can have.
     """
-    if not (math.isfinite(mean) and mean > 0.0):
-        raise ValueError(f"the mean distance must be positive and finite, got {mean}")
-    if not (math.isfinite(variance) and variance >= 0.0):
-        raise ValueError(f"the variance must be finite and not negative, got {variance}")
+    _check_moments(mean, variance)
     if not 0.0 < eta < mean:
         raise ValueError(f"η must be between 0 and the mean distance {mean}, both excluded, got {eta}")
     return min(1.0, (variance + 2.0 * eta * mean) / (variance + mean * mean))
@@ -170,13 +167,17 @@ def cantelli_bound(eta: float, mean: float, variance: float) -> float:
     Raises:
         ValueError: η outside [0, δ), or a mean or variance that no distance can have.
     """
+    _check_moments(mean, variance)
+    if not 0.0 <= eta < mean:
+        raise ValueError(f"η must be at least 0 and below the mean distance {mean}, got {eta}")
+    return variance / (variance + (mean - eta) ** 2)
+
+
+def _check_moments(mean: float, variance: float) -> None:
     if not (math.isfinite(mean) and mean > 0.0):
         raise ValueError(f"the mean distance must be positive and finite, got {mean}")
     if not (math.isfinite(variance) and variance >= 0.0):
         raise ValueError(f"the variance must be finite and not negative, got {variance}")
-    if not 0.0 <= eta < mean:
-        raise ValueError(f"η must be at least 0 and below the mean distance {mean}, got {eta}")
-    return variance / (variance + (mean - eta) ** 2)
 
 
 def bound_influence(distances: npt.ArrayLike, eta: float, mean: float, variance: float) -> FloatArray:

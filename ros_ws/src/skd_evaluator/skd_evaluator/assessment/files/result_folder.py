@@ -186,22 +186,17 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 
 def _lock(target: Path, option: str) -> int:
     """Return a descriptor of a folder, which nobody else can lock as long as it is open."""
-    taken = UsageError(f"{option}: another run is about to write there; give another folder")
     descriptor = os.open(target, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if not os.path.samestat(target.stat(), os.fstat(descriptor)):  # it has just been exchanged
-            raise taken
-    except BlockingIOError as error:
-        os.close(descriptor)
-        raise taken from error
+        if not os.path.samestat(target.stat(), os.fstat(descriptor)):
+            raise BlockingIOError(errno.EAGAIN, "it has just been exchanged")
     except OSError as error:
         if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.EBADF, errno.ENOSYS):
             return descriptor  # a file system without locks, as some networks have
         os.close(descriptor)
-        raise
-    except BaseException:
-        os.close(descriptor)
+        if isinstance(error, BlockingIOError):
+            raise UsageError(f"{option}: another run is about to write there; give another folder") from error
         raise
     return descriptor
 
