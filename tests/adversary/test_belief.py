@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from models import ring
-from skd_adversary.pomdp.belief import ParticleBelief, resample
+from skd_adversary.pomdp.belief import ParticleBelief
 
 CELLS, FORWARD, STOP, SIGMA = 12, 0.7, 0.5, 1.5
 SCRIPT = [(1, 3.2), (1, 4.9), (2, 6.1), (3, 9.4), (1, 10.2), (2, 0.3), (1, 1.4), (0, 1.0)]
@@ -27,24 +27,6 @@ def _exact(script: list[tuple[int, float]]) -> np.ndarray:
 
 def _histogram(belief: ParticleBelief) -> np.ndarray:
     return np.bincount(belief.particles[:, 0].astype(int), weights=belief.weights, minlength=CELLS)
-
-
-def test_systematic_resampling_copies_floor_or_ceiling() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(200):
-        n = int(rng.integers(1, 40))
-        weights = rng.dirichlet(np.full(n, 0.3))
-        copies = _copies(weights, rng)
-        assert copies.sum() == n
-        assert (np.abs(copies - n * weights) < 1.0 + 1e-9).all()
-
-
-def _copies(weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    n = len(weights)
-    particles = np.arange(n, dtype=float).reshape(n, 1)
-    out = np.empty_like(particles)
-    resample(particles, weights, out, rng)
-    return np.bincount(out[:, 0].astype(int), minlength=n)
 
 
 def test_a_particle_that_ends_the_episode_has_no_weight() -> None:

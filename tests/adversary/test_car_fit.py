@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from recorded_cars import KAPPA, SCENARIO, LateCar, LimitedCar, MoodyCar, TimeToCollisionCar, logs_of
 from scipy import stats
-from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar, car_model_text, fitted_car
+from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar
 from skd_adversary.car_models.fit import fit_car
 from skd_adversary.car_models.identifiability import (
-    Identification,
-    IntervalEstimate,
     half_width_estimate,
-    step_estimate,
 )
 from skd_adversary.car_models.laws import Family, Law, integral_transform, kolmogorov_smirnov
 from skd_adversary.car_models.observations import RecordedEpisode, observe
@@ -22,8 +19,6 @@ from skd_adversary.car_models.speed_change import SpeedChange, trapezoid_density
 from skd_sim.controllers import BasicController
 from skd_sim.controllers.cal import CalController
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import AdversaryState, CarState
 
 
 def estimate(car: FittedCar, name: str) -> float:
@@ -51,14 +46,6 @@ def test_half_width_interval_is_exact():
     covered = sum((e := half_width_estimate(float(x), draws)).low <= 0.3 <= e.high for x in largest)
     low, high = stats.binom.ppf([1e-4, 1.0 - 1e-4], runs, 0.95)
     assert low <= covered <= high
-
-
-def test_boundary_is_uniform_between_its_neighbours():
-    found = step_estimate(np.array([0.0, 4.0, 5.0, 9.0]), np.array([-50.0, 0.0, -50.0]))
-    assert found.value == 4.5
-    assert found.low == pytest.approx(4.025)
-    assert found.high == pytest.approx(4.975)
-    assert found.standard_error == pytest.approx(math.sqrt(1.0 / 12.0))
 
 
 # --- the basic car
@@ -137,27 +124,6 @@ def test_a_car_with_many_strengths_of_braking_does_not_brake_by_speeding_up():
     assert zone < estimate(car, "trigger") < zone + 0.3 * SCENARIO.car.start_speed
 
 
-class HastyCar:
-    """Speeds up all the way, or speeds up and brakes in turns, whoever is there."""
-
-    def __init__(self, *accelerations: float) -> None:
-        self._accelerations = accelerations
-
-    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        self._asked = 0
-
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
-        self._asked += 1
-        return self._accelerations[self._asked % len(self._accelerations)]
-
-
-@pytest.mark.parametrize("accelerations", [(5.0,), (8.0, -8.0), (-8.0, 8.0)])
-def test_a_car_that_heeds_nobody_is_learned(accelerations):
-    """No tick of it may look like driving freely; that ended in a traceback."""
-    car = fit_car(logs_of(HastyCar(*accelerations), 120, seed=3))
-    assert fitted_car(car_model_text(car)).logs == 120
-
-
 # --- calibration
 
 
@@ -222,10 +188,3 @@ def test_logs_that_cannot_be_one_car():
         observe([recording(0.3), recording(0.1)])
     with pytest.raises(UsageError, match="not finite"):
         observe([recording(0.3, math.nan)])
-
-
-def test_prior_of_what_is_never_negative_begins_at_zero():
-    seen = Identification(logs=9, braking_logs=9, free=99, braking=99, lapse=0.0, start_speed=8.0)
-    found = seen.parameter("deceleration_noise", lambda: IntervalEstimate(0.1, 0.2, -0.3, 0.5), "")
-    assert not found.identifiable
-    assert (found.prior.first, found.prior.second) == (0.0, 0.5)

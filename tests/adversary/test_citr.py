@@ -38,32 +38,6 @@ def test_walk_is_recovered_from_any_frame(tmp_path: Path, side: int, degrees: fl
     assert trajectory.time_step == SCENARIO.time_step
 
 
-def test_the_whole_track_is_kept(tmp_path: Path) -> None:
-    clip = LookAlike()
-    clip.write(tmp_path)
-    (trajectory,) = read_citr(tmp_path, SCENARIO)
-    assert clip.seconds()[-1] - SCENARIO.time_step < trajectory.duration <= clip.seconds()[-1]
-    assert trajectory.positions[0, 0] == pytest.approx(Walk().start_x)
-
-
-def test_missing_frames_are_interpolated(tmp_path: Path) -> None:
-    walk = Walk(sway=0.0)
-    LookAlike(walks=[walk]).write(tmp_path)
-    file = tmp_path / "unidirection_yeild_01_traj_ped_filtered.csv"
-    lines = file.read_text(encoding="utf-8").splitlines()
-    file.write_text("\n".join(lines[:40] + lines[55:]), encoding="utf-8")
-    (trajectory,) = read_citr(tmp_path, SCENARIO)
-    times = SCENARIO.time_step * np.arange(len(trajectory))
-    np.testing.assert_allclose(trajectory.positions, walk.at(times), atol=1e-9)
-
-
-def test_order_is_by_clip_and_id(tmp_path: Path) -> None:
-    for name, sway in (("unidirection_yeild_02", 0.2), ("unidirection_normal_driving_01", 0.3)):
-        LookAlike(name=name, walks=[Walk(sway=sway + 0.01 * i, north=-i) for i in range(3)]).write(tmp_path)
-    names = [trajectory.name for trajectory in read_citr(tmp_path, SCENARIO)]
-    assert names == [f"{clip}/{i}" for clip in ("normal_driving_01", "yeild_02") for i in (1, 2, 3)]
-
-
 def test_only_walks_across_the_whole_path_are_kept(tmp_path: Path) -> None:
     edge = SCENARIO.path_edge
     duration = float(LookAlike().seconds()[-1])
@@ -119,14 +93,6 @@ def _spoil(file: Path, line: int, old: str, new: str) -> None:
     assert old in lines[line - 1]
     lines[line - 1] = lines[line - 1].replace(old, new)
     file.write_text("\n".join(lines), encoding="utf-8")
-
-
-@pytest.mark.parametrize("name", [PED, VEH])
-def test_missing_partner_is_named(tmp_path: Path, name: str) -> None:
-    LookAlike().write(tmp_path)
-    (tmp_path / name).unlink()
-    with pytest.raises(UsageError, match=rf"its partner {name} is missing"):
-        read_citr(tmp_path, SCENARIO)
 
 
 @pytest.mark.parametrize(
@@ -185,21 +151,6 @@ def test_what_nobody_can_have_done(
     assert str(tmp_path / name) in str(caught.value)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_nobody_knows_whether_who_is_seen_without_the_cart_touches_it(tmp_path: Path) -> None:
-    LookAlike(cart_y=10.0).write(tmp_path)
-    rows = (tmp_path / VEH).read_text(encoding="utf-8").splitlines()
-    (tmp_path / VEH).write_text("\n".join(rows[:100]), encoding="utf-8")
-    _, dropped = select(read_clips(tmp_path), ANY_ENTRY)
-    assert dropped == [("yeild_01/1", "seen while the cart is not, which it may have touched")]
-
-
-def test_folder_without_the_dataset(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no files"):
-        read_citr(tmp_path, SCENARIO)
-    with pytest.raises(UsageError, match="not a folder"):
-        read_citr(tmp_path / "absent", SCENARIO)
 
 
 # --- the recordings themselves, which do not come with the project

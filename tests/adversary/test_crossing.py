@@ -97,30 +97,6 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
     assert 20 < collisions < 200  # both kinds of episode were seen
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_nobody_counts_on_a_contact_that_rounding_decides(side: float) -> None:
-    """Disc and side just touch: who is hit in the model is hit in the world, and who stands 2 nm nearer is in both."""
-    scenario = _scenario(0.0, 0.0)
-    model = _model(scenario, known_basic_car(0.0))
-    move = transition_parts(BASIC_KERNELS, PEDESTRIAN.kernels, STRAIGHT)["move"]
-    edge = scenario.car.half_width + scenario.adversary.radius
-    for x, sure in [*((edge + ulps * np.spacing(edge), False) for ulps in range(-12, 13)), (edge - 2e-9, True)]:
-        start = replace(scenario, adversary=replace(scenario.adversary, start_x=side * x))
-        rng = np.random.default_rng(0)
-        world = World(start, gap=20.0, start_rng=rng, car_rng=rng)
-        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
-        model.initial(model.parameters, state, rng)
-        foreseen = met = False
-        for _ in range(14):
-            state[:STATE_DIM] = _state_of(world, 0.0)
-            foreseen |= move(model.parameters, state, 0.0, 0.0, after, rng) <= 1.0
-            if world.step(0.0, (0.0, 0.0)) is not None:
-                met = True
-                break
-        assert met or not foreseen, f"{x - edge:g} m from the edge"
-        assert foreseen or not sure
-
-
 @pytest.mark.parametrize("car_y", [-20.0, -8.0])
 def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     """Speed and place of the car after one tick: coasting, and braking (acceleration noise off in both)."""
@@ -144,20 +120,6 @@ def test_transition_is_the_world_in_distribution(car_y: float) -> None:
         truth[i] = world.car.y, world.car.speed
     for column in range(2):
         assert stats.ks_2samp(predicted[:, column], truth[:, column]).pvalue > 1e-3
-
-
-def test_initial_state_covers_the_start_range_and_the_prior() -> None:
-    model = _model(CROSSING, unknown_car())
-    rng = np.random.default_rng(4)
-    n = 4000
-    states = np.empty((n, STATE_DIM))
-    for state in states:
-        model.initial(model.parameters, state, rng)
-    assert (states[:, [ADVERSARY_X, ADVERSARY_Y]] == (-3.5, 0.0)).all()
-    assert (states[:, CAR_SPEED] == CROSSING.car.start_speed).all()
-    kappa = CROSSING.car.safe_distance
-    for column, low, width in ((CAR_S, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
-        assert stats.kstest(states[:, column], "uniform", args=(low, width)).pvalue > 1e-3
 
 
 # In micrometres: shapely's distance to a segment of 1e-180 m is infinite.

@@ -77,14 +77,6 @@ def test_bad_file(tmp_path: Path, text: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_start_in_the_path_of_a_car_that_meets_it(tmp_path: Path) -> None:
-    # This scenario's car starts where it meets φ; φ is in its path at once, so it would start on top of φ.
-    scenario = load_scenario("citr_crossing")
-    with pytest.raises(UsageError, match="where the car starts"):
-        read_csv_trajectory(_write(tmp_path, "t,x,y\n0,0,0\n3,4,0\n"), scenario)
-    read_csv_trajectory(_write(tmp_path, "t,x,y\n0,-4,0\n3,4,0\n"), scenario)
-
-
 def test_sources_file_and_folder(tmp_path: Path) -> None:
     for number, name in enumerate(("b.csv", "a.csv", "c.CSV")):
         _write(tmp_path, GOOD.replace("2.0", f"2.{number}"), name)
@@ -98,15 +90,6 @@ def test_sources_file_and_folder(tmp_path: Path) -> None:
     _write(tmp_path, "t,x,y\n0,-3.5,0\nx,1,0\n", "d.csv")
     with pytest.raises(UsageError, match=r"d\.csv, line 3: t must be a number"):
         load_safe_trajectories(str(tmp_path), SCENARIO, 2)
-
-
-def test_sources_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no csv file in this folder"):
-        load_safe_trajectories(str(tmp_path), SCENARIO, 1)
-    with pytest.raises(UsageError, match="absent: cannot be read"):
-        load_safe_trajectories(str(tmp_path / "absent"), SCENARIO, 1)
-    with pytest.raises(UsageError, match="at least 1"):
-        load_safe_trajectories(str(tmp_path), SCENARIO, 0)
 
 
 # --- walks that no pedestrian walks
@@ -130,16 +113,6 @@ def test_walks_that_are_none_are_refused_by_row(tmp_path, rows, message):
     path.write_text("t,x,y\n" + rows)
     with pytest.raises(UsageError, match=f"phi.csv.*{message}"):
         read_csv_trajectory(path, load_scenario("crossing"))
-
-
-def test_a_runner_and_a_jittery_sensor_are_no_jump(tmp_path):
-    """11.9 m/s is a sprint; 4 cm of noise at 240 rows a second is 10 m/s from one to the next."""
-    seconds = np.arange(0.0, 1.5, 1 / 240)
-    jitter = 0.04 * (np.arange(len(seconds)) % 2)
-    for name, x in (("runner", -9.0 + 11.9 * seconds), ("jitter", -1.0 + 2.5 * seconds + jitter)):
-        rows = "".join(f"{t!r},{a!r},0\n" for t, a in zip(seconds.tolist(), x.tolist(), strict=True))
-        (tmp_path / f"{name}.csv").write_text("t,x,y\n" + rows)
-        read_csv_trajectory(tmp_path / f"{name}.csv", load_scenario("crossing"))
 
 
 def test_what_of_a_folder_is_not_used_is_said(tmp_path, caplog):

@@ -7,16 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_adversary.adversary import make_adversary
 from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior
 from skd_adversary.crossing.cars import FITTED_STATE_DIM, WAITING_REWARD, LearnedCar, known_basic_car, unknown_car
 from skd_adversary.crossing.deviation import DEVIATION
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, EAST, STAY
-from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Planner
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Objective
@@ -184,30 +181,3 @@ def test_no_displacement_is_offered_twice() -> None:
     state[STATE_DIM] = 0.02  # m², beyond 0.1 m
     assert strict.legal is not None
     assert [a for a in range(ACTION_COUNT + 1) if strict.legal(strict.parameters, state, a)] == [AS_PHI]
-
-
-def test_far_from_the_car_there_is_one_choice_and_no_search() -> None:
-    slow = SLOW.positions
-    model = compose(CROSSING, DEVIATION, known_basic_car(1.0), start=(-3.5, 0.0), gap=60.0, path=slow)
-    adversary = make_adversary(a_kamikaze(SLOW, 1))
-    options = adversary._planner._options  # type: ignore[attr-defined]
-    rng = np.random.default_rng(4)
-    planner, belief = Planner(model, options, rng), ParticleBelief(model, 100, rng)
-    assert planner.plan(belief) == AS_PHI
-    assert planner.model_steps == 0
-    planner.advance(AS_PHI, np.array([-60.0]))
-    assert planner.plan(belief) == AS_PHI
-
-
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("fitted", [False, True])
-def test_reinvigoration_keeps_what_is_known_for_sure(known: bool, fitted: bool) -> None:
-    model = a_model(known=known, fitted=fitted)
-    row = FITTED_STATE_DIM if fitted else STATE_DIM
-    rng = np.random.default_rng(5)
-    state, redrawn = np.empty(model.state_dim), np.empty(model.state_dim)
-    model.initial(model.parameters, state, rng)
-    state[row:] = 0.3, 4.0, 0.0
-    model.reinvigorate(model.parameters, state, np.array([-9.0 if known else 9.0]), redrawn, rng)
-    assert (redrawn[:2] == state[:2]).all()
-    assert (redrawn[row:] == state[row:]).all()

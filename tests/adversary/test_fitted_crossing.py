@@ -20,13 +20,11 @@ from skd_adversary.car_models.car_model_file import (
     read_car_model,
     write_car_model,
 )
-from skd_adversary.crossing import cars, parts
+from skd_adversary.crossing import parts
 from skd_adversary.crossing.cars import DECELERATION, DELAY, LearnedCar, known_basic_car
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import PAPER
-from skd_adversary.crossing.parts import bound
 from skd_adversary.crossing.road_users import ACTION_COUNT, STAY
-from skd_adversary.crossing.roads import STRAIGHT
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
@@ -116,20 +114,6 @@ def test_what_is_uncertain_is_drawn_from_its_prior():
     assert triggers.mean() == pytest.approx(9.0, abs=4 * (2 / math.sqrt(12)) / math.sqrt(4000))
     assert decelerations.mean() == pytest.approx(4.0, abs=4 * 0.5 / math.sqrt(4000))
     assert decelerations.std() == pytest.approx(0.5, rel=0.1)
-
-
-def test_a_step_outside_of_the_path_does_not_brake_a_car_that_guards_it():
-    car = a_car(path_half_width=ParameterPrior("point", 1.4))
-    car = FittedCar(**{**vars(car), "gate": "position"})
-    _, fitted = models(car)
-    on_road = {"on_road": STRAIGHT.on_road, "velocity_on_road": STRAIGHT.velocity_on_road}
-    brakes = bound(cars._brakes, "straight", on_road)
-    state = np.zeros(fitted.state_dim)
-    fitted.initial(fitted.parameters, state, np.random.default_rng(0))
-    state[parts.CAR_S] = -8.0
-    for x, expected in ((-2.0, False), (-1.39, True), (0.5, True), (1.41, False)):
-        state[parts.ADVERSARY_X] = x
-        assert brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
 
 
 # --- on disk

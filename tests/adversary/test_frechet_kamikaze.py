@@ -68,15 +68,6 @@ def test_return_of_a_collision_is_its_reward_less_the_frechet_distance(limit: fl
     assert limit is None or beyond > 0
 
 
-def test_it_ends_once_no_continuation_can_come_within_the_maximum() -> None:
-    model = _model(0.5)
-    p, rng = model.parameters, np.random.default_rng(2)
-    state, after = np.empty(model.state_dim), np.empty(model.state_dim)
-    model.initial(p, state, rng)
-    reward, terminal = model.step(p, state, 0, after, rng)  # North by 0.75 m: further than 0.5 m from all of φ
-    assert (reward, terminal) == (FRECHET_REWARDS["step_reward"], True)
-
-
 coordinate = st.floats(-20.0, 20.0)
 curve = st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=12)
 BEGIN = 3  # the row lies somewhere within a state

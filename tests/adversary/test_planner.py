@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +11,7 @@ import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions, play
+from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions
 
 GAMMA, ACCURACY = 0.95, 0.85
 BELIEFS = np.linspace(0.0, 1.0, 4001)  # P(behind the right door)
@@ -66,31 +64,6 @@ def belief_after(count: int) -> float:
     return 1.0 / (1.0 + ((1.0 - ACCURACY) / ACCURACY) ** count)
 
 
-def return_of_choices(shares: Sequence[Any]) -> float:
-    """What it is worth, from the even belief, to choose with these shares, computed without episodes.
-
-    Args:
-        shares: for each count from 0, of (listen, the door away from the tiger, as far as one knows, the other door);
-            the last ones are those of all higher counts.
-    """
-    most, steps = 40, 600  # beyond which nothing matters: 0.95^600 is 4e-14
-    value = np.zeros(most + 1)
-    for _ in range(steps):
-        after = value.copy()
-        for count in range(most):
-            listen, away, towards = shares[min(count, len(shares) - 1)]
-            right = belief_after(count)
-            nearer = ACCURACY * right + (1.0 - ACCURACY) * (1.0 - right)
-            after[count] = (
-                listen * (-1.0 + GAMMA * (nearer * value[count + 1] + (1.0 - nearer) * value[abs(count - 1)]))
-                + away * (10.0 * right - 100.0 * (1.0 - right) + GAMMA * value[0])
-                + towards * (10.0 * (1.0 - right) - 100.0 * right + GAMMA * value[0])
-            )
-        after[most] = after[most - 1]
-        value = after
-    return float(value[0])
-
-
 def test_value_iteration_gives_the_published_optimum() -> None:
     q = _tiger_values(500)
     assert q[:, 2000].max() == pytest.approx(19.37, abs=0.01)
@@ -132,25 +105,6 @@ def test_action_after_each_observation_count_is_the_optimal_one(count: int) -> N
     assert share >= 0.5 + 3.1 * math.sqrt(0.25 / runs)
 
 
-@pytest.mark.parametrize("count", [-2, 2])
-def test_never_the_wrong_door_in_the_near_tie(count: int) -> None:
-    """Opening the right door is 0.7 better than listening, of 24; the other door is 45 worse."""
-    shares = _shares(tiger(), belief_after(count), OPTIONS, 20)
-    assert shares[OPEN_RIGHT if count > 0 else OPEN_LEFT] == 0.0
-
-
-def test_expected_return_of_the_planner() -> None:
-    """The return is computed from the planner's choices, which has far less variance than playing."""
-    runs = 30
-    shares = [_shares(tiger(), belief_after(d), OPTIONS, runs) for d in range(5)]
-    value = return_of_choices(shares)
-    assert value <= 19.38
-    # Always listening is worth −20, and opening one observation too early, at |count| = 1, about −26. What the planner
-    # loses it loses in the near tie at |count| = 2, by listening once more than need be.
-    listen, open_ = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    assert value >= return_of_choices([listen, listen, listen, open_])
-
-
 @pytest.mark.parametrize("p_right", [0.5, 0.7, 0.85, 0.15])
 def test_it_gathers_information_from_continuous_observations(p_right: float) -> None:
     """QMDP takes the state for known after one step: with it no belief is worth listening at a cost twice."""
@@ -177,27 +131,6 @@ def test_the_subtree_of_what_was_done_and_heard_is_kept(backup: Backup) -> None:
     belief.correct(LISTEN, np.array([1.0]))
     planner.plan(belief)
     assert planner.visits.sum() == kept + 500
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"depth": 0}, "depth must be a whole number of at least 1, got 0"),
-        ({"simulations": 1.5}, "simulations must be a whole number of at least 1, got 1.5"),
-        ({"observation_factor": 0.0}, "needs k > 0"),
-        ({"observation_exponent": 2.0}, r"α in \[0, 1\]"),
-    ],
-)
-def test_options_of_another_kind(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        PlannerOptions(**options)
-
-
-def test_a_world_of_other_states_than_the_belief_s() -> None:
-    rng = np.random.default_rng(0)
-    planner, belief = _planner(tiger(), 0.5, PlannerOptions(simulations=1), 3)
-    with pytest.raises(ValueError, match="test_wide has states of 2 numbers, and the belief's have 1"):
-        play(replace(tiger(), name="test_wide", state_dim=2), belief, planner, rng)
 
 
 def _decided(scale: float) -> Planner:

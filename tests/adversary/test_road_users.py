@@ -29,7 +29,6 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
-from skd_sim.world.world import make_world
 
 ROUNDING = 1e-6
 WHEELED = [kind for kind, body in BODIES.items() if "length" in body]
@@ -118,22 +117,6 @@ def cut_in(number: int, mode: Mode, controller: str = "carla", **options: object
     return run_episode(
         EpisodeSpec(CUT_IN, mode, 2, number, controller=controller, safe_trajectory=phi, **options)  # type: ignore[arg-type]
     )
-
-
-def test_it_comes_as_it_drives() -> None:
-    world = make_world(EpisodeSpec(CUT_IN, Mode.SAFE, 0, 0))
-    assert world.adversary[:4] == pytest.approx((-3.5, -8.0, 0.0, 9.0))
-    assert world.adversary.heading == pytest.approx(math.pi / 2.0)
-
-
-def test_a_safe_one_cuts_in_well_ahead() -> None:
-    arrived = [log for number in range(4) if (log := cut_in(number, Mode.SAFE)).outcome == Outcome.ARRIVED]
-    assert len(arrived) >= 2
-    for log in arrived:
-        x, y = log.adversary[-1]
-        assert abs(x) < 0.9
-        assert y > 20.0
-        assert beyond("car", AHEAD.positions, log.adversary, STEP) <= 1e-6
 
 
 def test_a_kamikaze_leaves_phi_by_what_a_driver_does_and_for_nothing_beyond_eta_max() -> None:

@@ -70,15 +70,6 @@ def test_it_brakes_fully_above_ninety_per_cent_and_not_below():
         assert (command == -CROSSING.car.deceleration) == braking
 
 
-def test_it_brakes_when_more_than_ten_kilometres_per_hour_too_fast():
-    """0.3·v/30 of the full deceleration, as by hand."""
-    controller = CalController()
-    controller.reset(CROSSING, RNG)
-    car = CarState(0.0, -100.0, HEADING_NORTH, 60.0 / 3.6)
-    controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, GONE, 0))
-    assert controller.command(car, GONE) == pytest.approx(-0.3 * 60.0 / 30.0 * 3.5)
-
-
 def test_it_stops_before_an_adversary_who_stands_in_the_lane():
     states = drive(CalController(), QUIET, AdversaryState(0.0, 0.0, 0.0, 0.0), 40, 25.0)
     assert states[-1].speed == 0.0

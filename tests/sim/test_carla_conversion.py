@@ -13,10 +13,8 @@ from hypothesis import strategies as st
 from skd_sim.simulators.carla import (
     Placement,
     adversary_from_odometry,
-    car_from_odometry,
     pedals,
     walker_control,
-    yaw_of,
 )
 from skd_sim.world.state import AdversaryState, CarState
 
@@ -54,20 +52,6 @@ def test_there_and_back(placement: Placement, x: float, y: float, heading: float
     assert back[:2] == pytest.approx((x, y), abs=1e-9)
     assert math.cos(back.heading - heading) == pytest.approx(1.0)
     assert back.speed == 3.0
-
-
-@pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.7, 3.1])
-@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.05, -0.1)])
-def test_yaw_of_a_leaning_car(yaw: float, roll: float, pitch: float) -> None:
-    orientation = SimpleNamespace(**dict(zip("xyzw", quaternion(roll, pitch, yaw), strict=True)))
-    assert yaw_of(orientation) == pytest.approx(yaw)
-
-
-def test_car() -> None:
-    placement = Placement(100.0, 50.0, -math.pi / 2)
-    car = car_from_odometry(odometry(85.0, 50.0, (0.0, 0.02, 0.0), 8.0, 0.1), placement)
-    assert car == pytest.approx((0.0, -15.0, math.pi / 2, 8.0), abs=1e-12)
-    assert car_from_odometry(odometry(85.0, 50.0, (0.0, 0.0, 0.0), -0.3, 0.0), placement).speed == 0.0
 
 
 def test_the_twist_of_a_walker_is_in_its_own_axes() -> None:

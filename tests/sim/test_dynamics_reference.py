@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from skd_sim.arrays import FloatArray
-from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.dynamics.multi_body import (
     BMW_320I,
     FRONT,
@@ -34,9 +30,7 @@ from skd_sim.world.dynamics.multi_body import (
     WheelInput,
     full_derivative,
 )
-from skd_sim.world.dynamics.multi_body_car import MultiBodyCar, rest_state
-from skd_sim.world.state import CarState
-from vehiclemodels.init_mb import init_mb
+from skd_sim.world.dynamics.multi_body_car import rest_state
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
@@ -101,37 +95,3 @@ def test_parameters_are_those_of_the_source() -> None:
     assert vehicle == BMW_320I
     assert tyre == SOURCE_TYRE
     assert {name for name in Tyre._fields if getattr(tyre, name) != getattr(TYRE, name)} == {"p_hx1", "p_vx1", "r_vy1"}
-
-
-def test_car_stops_as_an_adaptive_integration_of_their_equations_does() -> None:
-    """The whole manoeuvre: our equations and steps against their equations and LSODA at a tolerance of 1e-8."""
-    theirs, vehicle, _ = _parameters(2)
-    for name in ("p_hx1", "p_vx1", "r_vy1"):
-        setattr(theirs.tire, name, 0.0)
-    duration, deceleration, start = 1.8, 4.0, 25.0 / 3.0
-    state = np.array(init_mb([0.0, 0.0, 0.0, start, 0.0, 0.0, 0.0], theirs), dtype=float)
-    resting = rest_state(vehicle)
-    state[[PITCH, HEIGHT]] = resting[[PITCH, HEIGHT]]
-    np.testing.assert_allclose(np.delete(state, [SPEED, *range(WHEELS, WHEELS + 4)])[5:], np.delete(
-        resting, [SPEED, *range(WHEELS, WHEELS + 4)])[5:], atol=1e-12)  # fmt: skip
-    solution = solve_ivp(
-        lambda _, x: vehicle_dynamics_mb(x.tolist(), [0.0, -deceleration], theirs),
-        (0.0, duration),
-        state,
-        method="LSODA",
-        rtol=1e-8,
-        atol=1e-8,
-    )
-    assert solution.success
-    scenario = load_scenario("crossing_multi_body")
-    car = replace(scenario.car, acceleration_noise=0.0, brake_delay=0.0, brake_rate=1000.0, antilock=False)
-    ours = MultiBodyCar(replace(scenario, car=car))
-    ours.reset(CarState(0.0, 0.0, 0.0, start))
-    # Their torque is m·R·a; ours allows for the wheels' inertia.
-    command = deceleration * vehicle.m / (vehicle.m + 4.0 * vehicle.I_y_w / vehicle.R_w**2)
-    path = ours.advance(-command, duration, ours.draw(np.random.default_rng(0)))
-    ramp = 0.5 * deceleration / 1000.0  # s that the fastest brake a scenario can have comes later than theirs
-    assert path[-1, 3] == pytest.approx(solution.y[SPEED, -1] + deceleration * ramp, abs=2e-3)
-    assert path[-1, 0] == pytest.approx(solution.y[0, -1] + deceleration * ramp * duration, rel=1e-3)
-    np.testing.assert_allclose(ours.state[PITCH], solution.y[PITCH, -1], rtol=0.02)
-    assert math.isclose(path[-1, 1], 0.0, abs_tol=1e-12)

@@ -81,23 +81,6 @@ def test_first_contact_against_dense_samples(
         assert distances.min() <= radius + spacing
 
 
-@pytest.mark.parametrize(
-    "corner", [(FRONT, HALF_WIDTH), (-REAR, HALF_WIDTH), (-REAR, -HALF_WIDTH), (FRONT, -HALF_WIDTH)]
-)
-@pytest.mark.parametrize("apart", [0.18, 0.2, 0.23, 0.249, 0.2501, 0.3])
-def test_a_short_step_past_a_corner(corner: tuple[float, float], apart: float) -> None:
-    """Across the corner's diagonal, at most 0.6 m long: half a chord of the corner's disc before the middle."""
-    outward = np.sign(corner) / math.sqrt(2.0)
-    across = outward * (1.0, -1.0)
-    middle, half = np.array(corner) + apart * outward, 0.3
-    fraction = _contact(tuple(middle - half * across), tuple(middle + half * across))
-    if apart > RADIUS:
-        assert fraction == NO_CONTACT
-    else:
-        # Beyond R/√2 the disc is met before either of the two grown boxes.
-        assert fraction == pytest.approx((half - math.sqrt(RADIUS**2 - apart**2)) / (2.0 * half), rel=1e-9)
-
-
 def _boxes(
     start: tuple[float, float], end: tuple[float, float], turned: float, half_length: float, half_width: float
 ) -> float:

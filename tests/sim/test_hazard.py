@@ -14,8 +14,6 @@ from skd_sim.controllers.cal import (
     GAP,
     REACTION_TIME,
     STANDOFF,
-    HazardNetwork,
-    Perception,
     segment,
     shipped_network,
 )
@@ -76,32 +74,7 @@ def test_objects_are_parted_and_measured():
     assert parked[2] > 1.8
 
 
-def test_velocity_over_ground_of_a_walker_seen_from_a_moving_car():
-    perception = Perception(CROSSING)
-    start, velocity = (-4.0, 2.0), (2.0, -1.0)
-    for tick in range(3):
-        car = CarState(0.1 * tick, -14.0 + 2.4 * tick, HEADING_NORTH, 8.0)
-        adversary = AdversaryState(start[0] + 0.3 * tick * velocity[0], start[1] + 0.3 * tick * velocity[1], 0, 0)
-        laser, _ = scene(car, adversary)
-        perception.update(laser.scan(car, adversary, tick), car)
-    # The car's axis points North: ahead is y, left is −x.
-    np.testing.assert_allclose(perception.velocities, [[velocity[1], -velocity[0]] * 2], atol=0.25)
-
-
 # --- network and training
-
-
-def random_network(hidden: int = 5, inputs: int = 3) -> HazardNetwork:
-    rng = np.random.default_rng(4)
-    shapes = ((inputs, hidden), (hidden,), (hidden, hidden), (hidden,), (hidden, 1), (1,))
-    return HazardNetwork(*(rng.normal(size=shape) for shape in shapes))
-
-
-def test_inference_against_matrix_products():
-    network, rows = random_network(), np.random.default_rng(0).normal(size=(1000, 3))
-    hidden = np.maximum(0, np.maximum(0, rows @ network.w1 + network.b1) @ network.w2 + network.b2)
-    expected = 1.0 / (1.0 + np.exp(-(hidden @ network.w3 + network.b3)[:, 0]))
-    np.testing.assert_allclose(network.probability(rows), expected, rtol=1e-12)
 
 
 # --- the shipped network

@@ -36,21 +36,6 @@ def adversary(**keys: Any) -> dict[str, Any]:
     return {key: value for key, value in own.items() if key not in ("start_x", "start_y")} | keys
 
 
-def test_lanes_lie_side_by_side() -> None:
-    """Middles and edges by hand: own lane 3.5 m; to the left 3.5 and 3 m, to the right 2.5 m."""
-    road = Road(3.5, lanes=FOUR)
-    assert [road.offset(number) for number in (-2, -1, 0, 1)] == [-6.75, -3.5, 0.0, 3.0]
-    edges = [[road.edge(side, -5.0, 5.0, number)[0, 0] for side in (-1.0, 1.0)] for number in (-2, -1, 0, 1)]
-    assert edges == [[-8.25, -5.25], [-5.25, -1.75], [-1.75, 1.75], [1.75, 4.25]]
-
-
-def test_who_drives_points_the_way_of_the_lane() -> None:
-    road = Road(3.5, lanes=FOUR)
-    assert road.place(1, -10.0, 0.5) == (3.5, -10.0, math.pi / 2)
-    assert road.place(-1, 12.0, -0.25) == (-3.75, 12.0, -math.pi / 2)
-    assert road.place(7, -8.0, 1.0) == pytest.approx((-3.0, 19.0, 0.0))  # eastbound: its right is the South
-
-
 def test_lanes_of_a_curve_keep_their_distance_from_it() -> None:
     """Against shapely's distance to a finely drawn centre line."""
     road = Road(3.5, parts=(Part(40.0), Part(4.0 * math.pi, 8.0, "right"), Part(40.0)), origin=45.0, lanes=FOUR[:3])

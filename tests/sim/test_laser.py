@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, Scenario, load_scenario, scenario_from_dict
-from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.sensors import PlanarLaser, disc_range, make_laser, rectangle_range
+from skd_sim.world.sensors import PlanarLaser, disc_range, rectangle_range
 from skd_sim.world.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
@@ -99,12 +98,6 @@ def test_the_whole_fan_against_shapely_with_a_turned_car():
     np.testing.assert_allclose(ranges, expected, atol=1e-4)
 
 
-def test_a_parked_car_hides_the_adversary():
-    car, adversary = CarState(0.0, -12.0, HEADING_NORTH, 5.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
-    hidden = PlanarLaser(scenario(Obstacle(0.0, -3.0, 0.0, 3.0, 1.0)), 0, 0)
-    np.testing.assert_array_equal(hidden.true_ranges(car, adversary), hidden.true_ranges(car, NOWHERE))
-
-
 def test_a_guard_rail_hides_nobody_and_blocks_ways():
     """Beside a wall in the same place that hides, and beside none."""
     car, behind = CarState(0.0, -10.0, math.pi / 2, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
@@ -151,12 +144,3 @@ def test_a_scan_depends_on_seed_episode_and_tick_and_on_nothing_else():
     for seed, episode, tick in ((6, 7, 9), (5, 8, 9), (5, 7, 8)):
         other = PlanarLaser(CROSSING, seed, episode).scan(car, adversary, tick)
         assert other.ranges.tobytes() != late.ranges.tobytes()
-
-
-def test_a_scenario_without_sensor_has_no_laser():
-    bare = replace(CROSSING, sensor=None)
-    assert make_laser(EpisodeSpec(bare, Mode.SAFE, 0, 0)) is None
-    data = bare.as_dict()
-    assert "sensor" not in data
-    assert "obstacles" not in data
-    assert scenario_from_dict(data) == bare

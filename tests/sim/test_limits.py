@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -45,9 +44,3 @@ def test_a_command_beyond_is_the_limit_and_is_counted(scenario: Scenario) -> Non
         assert (one.clipped, other.clipped) == (1, 0)
         one.step(limit, (0.0, 0.0))
         assert one.clipped == 1
-
-
-@pytest.mark.parametrize("command", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_no_brake(command: float) -> None:
-    with pytest.raises(ValueError, match="finite number"):
-        world(CROSSING).step(command, (0.0, 0.0))

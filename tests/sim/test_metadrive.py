@@ -127,11 +127,6 @@ def test_boxes_others_and_parked_cars_are_there(name: str) -> None:
     np.testing.assert_allclose(there.car[:, 1], expected.car[:, 1], atol=0.05)
 
 
-def test_a_curved_road_is_refused() -> None:
-    with pytest.raises(UsageError, match="curved road"):
-        run(across(), scenario=replace(load_scenario("right_turn"), control_period=None))
-
-
 def test_a_fork_of_a_process_with_an_engine_is_refused() -> None:
     run(still(-80.0, ticks=1))
     child = os.fork()

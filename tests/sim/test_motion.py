@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.world.state import braking_distance, draw_relative, next_speed, travelled
+from skd_sim.world.state import braking_distance, next_speed, travelled
 
 SPEED = 25.0 / 3.0  # m/s, 30 km/h
 STEP = 0.3  # s
@@ -33,21 +32,6 @@ def test_stopping_distance_of_the_noiseless_car(deceleration: float) -> None:
     assert distance == pytest.approx(uniform + 0.5 * STEP * rest, rel=1e-12)
     # The last step stretches the last rest²/2a to rest·Δt/2.
     assert 0.0 <= distance - braking_distance(SPEED, deceleration) <= 0.5 * STEP * rest
-
-
-def test_moments_of_the_noise() -> None:
-    """U[−h, h]: mean 0, variance h²/3, fourth moment h⁴/5."""
-    rng = np.random.default_rng(20260101)
-    n, h = 200_000, 0.05
-    draws = np.array([draw_relative(h, rng) for _ in range(n)])
-    assert np.abs(draws).max() <= h
-    variance = h**2 / 3.0
-    assert abs(draws.mean()) < 4.0 * math.sqrt(variance / n)
-    error = math.sqrt((h**4 / 5.0 - variance**2) / n)  # standard error of the mean of squares
-    assert abs((draws**2).mean() - variance) < 4.0 * error
-    # Kolmogorov–Smirnov against the uniform distribution; 1.95/√n is the 0.1 % point.
-    ranks = (np.arange(n) + 0.5) / n
-    assert np.abs(np.sort(draws) / (2.0 * h) + 0.5 - ranks).max() < 1.95 / math.sqrt(n)
 
 
 @given(

@@ -15,7 +15,6 @@ from skd_sim.controllers import takes_scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import CarState, RoadUserState, Scene, Trajectory
 
 BASE = load_scenario("crossing").as_dict()
@@ -107,17 +106,6 @@ def test_a_controller_sees_everybody_if_it_asks_for_the_scene() -> None:
     with_an_adversary_alone = load_scenario("crossing")
     played(with_an_adversary_alone, car)
     assert car.seen[0].others == ()
-
-
-def test_the_laser_sees_them() -> None:
-    scenario = scenario_with(STANDING)
-    assert scenario.sensor is not None
-    laser = PlanarLaser(scenario, 0, 0)
-    car, away = CarState(0.5, -5.0, math.pi / 2.0, 0.0), RoadUserState(-60.0, 0.0, 0.0, 0.0)
-    ranges = laser.true_ranges(car, away, scenario.others_at(0))
-    ahead = 10.0 - 0.25 - (-5.0 + scenario.sensor.mount_ahead)
-    assert ranges[len(ranges) // 2] == pytest.approx(ahead)
-    assert math.isinf(laser.true_ranges(car, away)[len(ranges) // 2])
 
 
 def test_who_stands_is_in_the_adversarys_way() -> None:

@@ -103,17 +103,6 @@ def test_the_crossing_point_is_the_origin_and_the_lane_leads_north_there(
     assert road_pose(line, 0.0) == pytest.approx((0.0, 0.0, HEADING_NORTH), abs=1e-9)
 
 
-def test_a_quarter_circle_by_hand() -> None:
-    """To the left, of 8 m radius, up to the crossing: it began 8 m West and 8 m South of it, to the East."""
-    line = centre_line([(30.0, 0.0), (4.0 * math.pi, 1.0 / 8.0)], 30.0 + 4.0 * math.pi)
-    assert road_pose(line, -4.0 * math.pi) == pytest.approx((-8.0, -8.0, 0.0), abs=1e-12)
-    assert road_pose(line, -4.0 * math.pi - 10.0) == pytest.approx((-18.0, -8.0, 0.0), abs=1e-12)
-    assert road_pose(line, 5.0) == pytest.approx((0.0, 5.0, HEADING_NORTH), abs=1e-12)
-    assert road_position(line, -8.0, -3.0) == pytest.approx((-4.0 * math.pi, 5.0), abs=1e-12)
-    mirrored = centre_line([(30.0, 0.0), (4.0 * math.pi, -1.0 / 8.0)], 30.0 + 4.0 * math.pi)
-    assert road_pose(mirrored, -4.0 * math.pi) == pytest.approx((8.0, -8.0, math.pi), abs=1e-12)
-
-
 @given(right=st.integers(-3900, 3900).map(lambda mm: 1e-3 * mm), s=coordinate)
 def test_offsets_to_the_right_both_ways(right: float, s: float) -> None:
     """By a frame made here: the right is a quarter turn clockwise from where the road leads."""
@@ -126,26 +115,6 @@ def test_offsets_to_the_right_both_ways(right: float, s: float) -> None:
     straight = Road(3.5).line
     assert beside_road(straight, np.array([[right, s]])).tolist() == [[right, s]]
     assert right_and_along(straight, np.array([[right, s]])).tolist() == [[right, s]]
-
-
-def test_the_edges_are_half_a_lane_from_the_centre_line() -> None:
-    road = Road(3.5, parts=(Part(40.0), Part(4.0 * math.pi, 8.0, "right"), Part(40.0)), origin=45.0)
-    _, path = sampled(road.line)
-    for side in (-1.0, 1.0):
-        edge = road.edge(side, -20.0, 15.0)
-        distances = shapely.distance(path, shapely.points(edge))
-        np.testing.assert_allclose(distances, 1.75, atol=2e-3)
-        ends = [road_position(road.line, *edge[end]) for end in (0, -1)]
-        assert [value for end in ends for value in end] == pytest.approx([-20.0, -side * 1.75, 15.0, -side * 1.75])
-        assert np.hypot(*np.diff(edge, axis=0).T).max() < 0.25 * (8.0 + 1.75) / 8.0 + 1e-9
-    assert Road(3.5).edge(-1.0, -6.0, 2.0).tolist() == [[-1.75, -6.0], [-1.75, 2.0]]
-
-
-def test_half_a_circle_is_followed_to_its_ends() -> None:
-    line = centre_line([(10.0, 0.0), (8.0 * math.pi, 1.0 / 8.0), (10.0, 0.0)], 0.0)
-    for s in np.linspace(8.0, 12.0 + 8.0 * math.pi, 60):
-        x, y, _ = road_pose(line, s)
-        assert road_position(line, x, y) == pytest.approx((s, 0.0), abs=1e-7)
 
 
 @given(x=st.floats(-1e3, 1e3), y=st.floats(-1e3, 1e3))

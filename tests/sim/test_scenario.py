@@ -247,26 +247,6 @@ def test_a_mistake_is_one_line_that_says_what_would_be_right(changes: dict[Any, 
     assert said in message(data)
 
 
-def test_a_box_reaches_as_far_as_its_corners() -> None:
-    data = changed({"adversary.radius": LEFT_OUT, "adversary.length": 1.8, "adversary.width": 0.6})
-    scenario = scenario_from_dict(data)
-    assert scenario.adversary.shape == (0.0, 0.9, 0.3)
-    assert scenario.path_edge == pytest.approx(0.9 + math.hypot(0.9, 0.3))
-    north, stays = scenario.adversary.heading(0.0, 0.0, 1.0), scenario.adversary.heading(2.0, 0.0, 0.0)
-    assert (north, stays) == (math.pi / 2, 2.0)
-
-
-def test_overlap_at_the_start_on_a_curve() -> None:
-    """The car begins 13 to 15.5 m before the crossing, around the corner: West of it, not South."""
-    curve = {"length": 4.0 * math.pi, "radius": 8.0, "turn": "left"}
-    data = changed({"road.parts": [{"length": 30.0}, curve], "road.origin": 42.5})
-    assert "overlaps the adversary at the start" in message(
-        changed({"adversary.start_x": -10.0, "adversary.start_y": -8.0}, data)
-    )
-    scenario = scenario_from_dict(changed({"adversary.start_x": -3.5, "adversary.start_y": -14.0}, data))
-    assert scenario.road.line.shape == (2, 6)
-
-
 def test_overlap_anywhere_in_the_start_range() -> None:
     """The car's rear reaches from −13 − 4.5 m to 2.5 m further back."""
     rear = -17.5 - 2.5 - 0.25
@@ -290,12 +270,3 @@ def test_from_a_file(tmp_path: Path) -> None:
     file.write_text(yaml.safe_dump(changed({"car.width": 99})), encoding="utf-8")
     with pytest.raises(UsageError, match=r"mine\.yaml: car\.width must be a number from 0\.2 to 5 \(m\), got 99"):
         load_scenario(str(file))
-
-
-def test_no_such_scenario(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"scenario absent: .* crossing"):
-        load_scenario("absent")
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe")
-    for source, said in ((tmp_path / "binary.yaml", "not a text file in UTF-8"), (tmp_path, "is no regular file")):
-        with pytest.raises(UsageError, match=said):
-            load_scenario(str(source))

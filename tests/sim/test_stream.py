@@ -74,11 +74,3 @@ def test_a_stream_keeps_its_generator_alive() -> None:
     ballast = [np.full(16, 7, np.uint64) for _ in range(1000)]  # where a freed state would have been
     np.testing.assert_array_equal(_drawn(stream)[0], _drawn(expected)[0])
     assert len(ballast) == 1000
-
-
-def test_other_generators_are_left_as_they_are() -> None:
-    for kind in (np.random.MT19937, np.random.PCG64DXSM, np.random.Philox, np.random.SFC64):
-        rng = np.random.Generator(kind(1))
-        assert stream_of(rng) is rng
-    stream = stream_of(np.random.default_rng(1))
-    assert stream_of(stream) is stream

@@ -9,13 +9,6 @@ from skd_sim.world.state import Trajectory
 POINTS = np.arange(10.0).reshape(5, 2)
 
 
-def test_length_and_duration() -> None:
-    trajectory = Trajectory(POINTS, 0.3, "walk")
-    assert len(trajectory) == 5
-    assert trajectory.duration == pytest.approx(1.2)
-    assert Trajectory([[1.0, 2.0]], 0.3).duration == 0.0  # type: ignore[arg-type]
-
-
 def test_positions_are_a_copy_and_read_only() -> None:
     points = POINTS.copy()
     trajectory = Trajectory(points, 0.3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import WorldSimulator
 from skd_sim.world.contact import rectangle_distance, to_car_frame
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import period_of, period_stamp, tick_stamp
 from skd_sim.world.world import World, make_world
@@ -55,17 +53,6 @@ def test_noise_is_drawn_once_a_tick_and_spread_evenly(periods: int) -> None:
             world.step(acceleration, (0.0, 0.0))
         assert (world.tick, world.period) == (tick + 1, 0)
         assert (world.car.y, world.car.speed) == pytest.approx((y, speed), abs=1e-9)
-
-
-@pytest.mark.parametrize("periods", [2, 5, 6])
-def test_without_noise_a_held_command_leads_to_the_same_place(periods: int) -> None:
-    often, once = world_of(clocked(quiet(CROSSING), periods)), world_of(quiet(CROSSING))
-    for _ in range(6):
-        for _ in range(periods):
-            often.step(-1.5, (1.0, 0.5))
-        once.step(-1.5, (1.0, 0.5))
-        assert often.car == pytest.approx(once.car, abs=1e-9)
-        assert often.adversary == once.adversary  # to the last bit
 
 
 # --- the adversary, and contacts
@@ -129,15 +116,6 @@ def test_contacts_are_where_a_fine_look_finds_them(periods: int, episode_id: int
 
 
 # --- scans and stamps
-
-
-def test_every_period_has_a_scan_of_its_own_and_ticks_have_theirs() -> None:
-    laser = PlanarLaser(CROSSING, 1, 2)
-    car, adversary = CarState(0.0, -8.0, math.pi / 2, 5.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
-    scans = [laser.scan(car, adversary, *at).ranges for at in ((4, 0), (4,), (4, 1), (4, 2), (5, 1), (5,))]
-    np.testing.assert_array_equal(scans[0], scans[1])
-    distinct = {scan.tobytes() for scan in scans[1:]}
-    assert len(distinct) == 5
 
 
 @given(

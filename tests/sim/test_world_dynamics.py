@@ -10,7 +10,6 @@ from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.contact import rectangle_distance, to_car_frame
 from skd_sim.world.dynamics.multi_body_car import MultiBodyCar
-from skd_sim.world.state import CarState
 from skd_sim.world.world import World
 
 MULTI_BODY = load_scenario("crossing_multi_body")
@@ -23,28 +22,6 @@ def _quiet(**changes: object) -> Scenario:
 def _world(scenario: Scenario, gap: float, start: tuple[float, float]) -> World:
     rng = np.random.default_rng(0)
     return World(scenario, adversary_start=start, gap=gap, start_rng=rng, car_rng=np.random.default_rng(1))
-
-
-@pytest.mark.parametrize("gap", np.linspace(0.4, 2.0, 9))
-def test_impact_of_a_braking_car_on_one_who_stands(gap: float) -> None:
-    """Where the front has come within the radius, at the speed the car has there: read off a car driven by 1 ms."""
-    scenario = _quiet(brake_delay=0.0)
-    car = MultiBodyCar(replace(scenario, time_step=0.001))
-    car.reset(CarState(0.0, 0.0, HEADING_NORTH, scenario.car.start_speed))
-    way, speed = [0.0], [scenario.car.start_speed]
-    for _ in range(300):
-        *_, (_, y, _, v) = car.advance(-15.0, 0.001, car.draw(np.random.default_rng(0))).tolist()
-        way.append(y)
-        speed.append(v)
-    distance = gap - scenario.adversary.radius
-    contact = _world(scenario, gap, (0.0, 0.0)).step(-15.0, (0.0, 0.0))
-    if distance >= way[-1]:
-        assert contact is None
-        return
-    assert contact is not None
-    time = np.interp(distance, way, np.linspace(0.0, 0.3, 301))
-    assert contact.fraction == pytest.approx(time / 0.3, abs=1e-3)
-    assert contact.speed == pytest.approx(np.interp(time, np.linspace(0.0, 0.3, 301), speed), abs=0.01)
 
 
 def test_the_braking_car_is_hit_where_a_uniform_tick_would_miss() -> None:

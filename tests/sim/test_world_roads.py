@@ -12,7 +12,6 @@ import shapely
 from shapely import affinity
 from skd_sim.scenario.road import Part, Road, road_pose, road_position
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.dynamics.basic import along_road
 from skd_sim.world.state import CarState
 from skd_sim.world.world import World
 
@@ -88,26 +87,3 @@ def test_first_contact_on_a_curve_against_polygons(shape: str) -> None:
             assert contact.fraction == pytest.approx(first[0] / 400.0, abs=4e-3)
             touched += 1
     assert 5 <= touched <= 35  # both happen
-
-
-def test_the_way_along_a_curve_is_uniform_and_close_to_the_arc() -> None:
-    path = along_road(TURN.line, -6.0, 2.5, 8.0, 9.0)
-    share = np.linspace(0.0, 1.0, len(path))
-    s = [road_position(TURN.line, x, y)[0] for x, y in path[:, :2]]
-    np.testing.assert_allclose(s, -6.0 + 2.5 * share, atol=1e-9)
-    np.testing.assert_allclose(path[:, 3], 8.0 + share, atol=1e-12)
-    middles = 0.5 * (path[1:, :2] + path[:-1, :2])
-    assert max(abs(road_position(TURN.line, x, y)[1]) for x, y in middles) <= 1e-4 + 1e-9
-    assert len(along_road(TURN.line, -30.0, 2.5, 8.0, 8.0)) == 2  # straight before the curve
-
-
-def test_a_box_points_the_way_it_moves_and_keeps_pointing() -> None:
-    world = make(replace(CROSSING, adversary=BOX))
-    headings = []
-    for velocity in ((0.0, 0.0), (0.0, 2.5), (0.0, 0.0), (2.5, -2.5)):
-        world.step(-3.5, velocity)
-        headings.append(world.adversary.heading)
-    assert headings == pytest.approx([0.0, math.pi / 2, math.pi / 2, -math.pi / 4], abs=1e-11)
-    disc = make(CROSSING)
-    disc.step(0.0, (0.0, 2.5))
-    assert disc.adversary.heading == 0.0
