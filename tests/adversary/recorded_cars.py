@@ -61,15 +61,8 @@ class MoodyCar(BasicController):
         self._trigger = 9.0 + rng.standard_normal()
 
 
-class CruisingCar(BasicController):
-    """The basic car, but free of an adversary it returns to 7 m/s with a gain of 0.5/s."""
-
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
-        return super().command(car, adversary) or 0.5 * (7.0 - car.speed)
-
-
 class LimitedCar(BasicController):
-    """The cruising car, but it brakes with 2 m/s² and speeds up with no more than 1.5 m/s²."""
+    """The basic car, but free of an adversary it returns to 7 m/s, and it brakes with 2 m/s² and speeds up with no more than 1.5 m/s²."""
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         braking = super().command(car, adversary)
