@@ -62,7 +62,7 @@ class MoodyCar(BasicController):
 
 
 class LimitedCar(BasicController):
-    """The basic car, but free of an adversary it returns to 7 m/s, and it brakes with 2 m/s² and speeds up with no more than 1.5 m/s²."""
+    """Returns to 7 m/s where it is free; it brakes with 2 m/s² and speeds up with no more than 1.5 m/s²."""
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         braking = super().command(car, adversary)

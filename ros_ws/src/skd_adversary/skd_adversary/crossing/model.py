@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
+from skd_sim.kernels.compilation import bound
 from skd_sim.scenario.scenario import Scenario
 
 from skd_adversary.crossing.parts import (
@@ -31,7 +32,6 @@ from skd_adversary.crossing.parts import (
     SensorModel,
     advance_car,
     begin,
-    bound,
     contact,
     kernels_of,
     place_car,

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Final, Generic, ParamSpec, Protocol, TypeVar, cast, overload
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import Template, bound, kernel, unbound
+from skd_sim.kernels.compilation import template as template
 from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import runs_into
@@ -88,61 +89,6 @@ SEARCH: Final = PlannerOptions(
 )
 """Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
 hit is a matter of one good action at the right time, which a mean over all that was tried hides. docs/decisions.md."""
-
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
-
-
-class Template(Generic[_P, _R]):
-    """A kernel to be, which calls interfaces, or other templates of its module, by name; see `template`."""
-
-    def __init__(self, function: Callable[_P, _R], inline: bool) -> None:
-        """Keep a function, and whether callers contain its code."""
-        self.function, self.inline = function, inline
-
-    def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Refuse to be called: only a compiled copy can be.
-
-        Raises:
-            TypeError: always.
-        """
-        raise TypeError(f"{self.function.__qualname__} is a template; `bound` makes a kernel of it")
-
-
-@overload
-def template(function: Callable[_P, _R], /) -> Template[_P, _R]: ...
-
-
-@overload
-def template(*, inline: bool) -> Callable[[Callable[_P, _R]], Template[_P, _R]]: ...
-
-
-def template(function: Any = None, /, *, inline: bool = True) -> Any:
-    """Make a function a template.
-
-    Args:
-        function: plain function that calls interfaces by name.
-        inline: whether callers contain its code; see `kernel`.
-    """
-    return Template(function, inline) if function is not None else lambda one: Template(one, inline)
-
-
-def bound(part: Any, name: str, parts: Mapping[str, Any]) -> Any:
-    """Compile a template with the parts that it names, and so each template that it calls; return others as they are.
-
-    Args:
-        part: template, compiled kernel or None.
-        name: name of the composition, unique for these `parts`.
-        parts: kernel or number of each part, by name.
-    """
-    if not isinstance(part, Template):
-        return part
-    bindings = {}
-    for use in part.function.__code__.co_names:
-        helper = part.function.__globals__.get(use)
-        if use in parts or isinstance(helper, Template):
-            bindings[use] = parts[use] if use in parts else bound(helper, name, parts)
-    return specialise(part.function, name, bindings, inline=part.inline)
 
 
 def kernels_of(part: Any, name: str, parts: Mapping[str, Any]) -> dict[str, Any]:

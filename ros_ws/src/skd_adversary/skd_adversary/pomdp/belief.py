@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import bound, kernel, template, unbound
 from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.pomdp.model import Pomdp
@@ -25,12 +25,14 @@ RESAMPLE_BELOW = 0.5
 _initial = _step = _likelihood = _reinvigorate = unbound
 
 
-def _draw_template(parameters: Any, particles: FloatArray, rng: np.random.Generator) -> None:
+@template(inline=False, allocates=False)
+def _draw(parameters: Any, particles: FloatArray, rng: np.random.Generator) -> None:
     for i in range(particles.shape[0]):
         _initial(parameters, particles[i], rng)
 
 
-def _propagate_template(
+@template(inline=False, allocates=False)
+def _propagate(
     parameters: Any,
     particles: FloatArray,
     weights: FloatArray,
@@ -45,7 +47,8 @@ def _propagate_template(
             weights[i] = 0.0
 
 
-def _reweigh_template(
+@template(inline=False, allocates=False)
+def _reweigh(
     parameters: Any, particles: FloatArray, weights: FloatArray, action: int, observation: FloatArray
 ) -> float:
     """Multiply the weights by the likelihoods, normalise them, and return their sum before that."""
@@ -61,7 +64,8 @@ def _reweigh_template(
     return 0.0
 
 
-def _reinvigorate_template(
+@template(inline=False, allocates=False)
+def _redraw(
     parameters: Any,
     particles: FloatArray,
     observation: FloatArray,
@@ -113,9 +117,8 @@ def _kernels(
     likelihood: Callable[..., Any],
     reinvigorate: Callable[..., Any],
 ) -> tuple[Callable[..., Any], ...]:
-    bound = {"_initial": initial, "_step": step, "_likelihood": likelihood, "_reinvigorate": reinvigorate}
-    templates = (_draw_template, _propagate_template, _reweigh_template, _reinvigorate_template)
-    return tuple(specialise(template, name, bound, allocates=False) for template in templates)
+    parts = {"_initial": initial, "_step": step, "_likelihood": likelihood, "_reinvigorate": reinvigorate}
+    return tuple(bound(one, name, parts) for one in (_draw, _propagate, _reweigh, _redraw))
 
 
 class ParticleBelief:

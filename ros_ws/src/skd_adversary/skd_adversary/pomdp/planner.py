@@ -27,7 +27,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import bound, kernel, template, unbound
 from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.pomdp.belief import ParticleBelief
@@ -44,7 +44,7 @@ from skd_adversary.pomdp.tree import (
     SearchTree,
     Tables,
     add_child,
-    add_reference_kernel,
+    add_reference,
     best_mean,
     choose,
     clear_node,
@@ -58,7 +58,7 @@ from skd_adversary.pomdp.tree import (
     no_returns,
     note_return,
     note_value,
-    profile_kernel,
+    profile_of,
     set_profile,
     tables_of,
 )
@@ -130,8 +130,7 @@ class PlannerOptions:
             )
 
 
-_step = _observe = _rollout_action = _roll_out = _leaf_value = unbound
-_legal = _forbid = _profile = _add_reference = unbound
+_step = _observe = _rollout_action = _leaf_value = _legal = unbound
 _ACTIONS = _SEEN = 0
 _HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
@@ -172,7 +171,8 @@ def draw_roots(weights: FloatArray, roots: IndexArray, rng: np.random.Generator)
         roots[i], roots[j] = roots[j], roots[i]
 
 
-def _search_template(
+@template(inline=False, allocates=False)
+def _search(
     parameters: Any,
     leaf_parameters: Any,
     particles: FloatArray,
@@ -246,10 +246,10 @@ def _search_template(
                 if siblings > 0:
                     known = tree.basis[node, action, KNOWN]
                     if known < profile.shape[0]:
-                        _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                        add_reference(parameters, tree, node, action, state, scratch.other_observation)
                         known += 1
                     other = scratch.other_state
-                    _profile(parameters, tree, node, action, observation, other, likelihood, profile)
+                    profile_of(parameters, tree, node, action, observation, other, likelihood, profile)
                 child, apart = most_alike_child(tree, node, action, known, profile, seen)
                 same = apart <= cell_distance and child >= 0
             else:
@@ -273,7 +273,7 @@ def _search_template(
                 if siblings == 0:  # the oldest child's row holds the references
                     tree.basis[node, action, BLOCK] = child
                     tree.basis[node, action, KNOWN] = 0
-                    _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                    add_reference(parameters, tree, node, action, state, scratch.other_observation)
                 else:
                     for k in range(known):
                         tree.likelihood[child, k] = likelihood[k]
@@ -307,7 +307,8 @@ def _search_template(
     return steps
 
 
-def _roll_out_template(
+@template
+def _roll_out(
     parameters: Any, state: FloatArray, moved: FloatArray, steps: int, discount: float, rng: np.random.Generator
 ) -> tuple[float, int, int]:
     """Act by the default policy; both arrays are overwritten. Return (return, first action or −1, steps made)."""
@@ -328,27 +329,12 @@ def _roll_out_template(
     return value, first, made
 
 
-def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+@template
+def _forbid(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
     """Keep the search of a new node from actions that make no sense in its state."""
     for a in range(tree.statistics.shape[1]):
         if not _legal(parameters, state, a):
             tree.statistics[node, a, VISITS] = -1.0
-
-
-def search_kernel(model: Pomdp, by_likelihood: bool) -> Callable[..., Any]:
-    """Return the search compiled around a model's functions."""
-    likelihood = model.likelihood if by_likelihood else None
-    return _search_kernel(
-        model.name,
-        model.step,
-        model.observe,
-        model.rollout_action,
-        model.leaf_value,
-        model.legal,
-        likelihood,
-        model.action_count,
-        model.observation_dim,
-    )
 
 
 @functools.cache
@@ -363,30 +349,27 @@ def _search_kernel(
     actions: int,
     seen: int,
 ) -> Callable[..., Any]:
-    bound: dict[str, Any] = {
+    """Return the search compiled around a model's functions; with a likelihood, over cells of likelihood."""
+    optional = {"_leaf_value": leaf_value, "_legal": legal, "_likelihood": likelihood}
+    parts = {
         "_step": step,
         "_observe": observe,
         "_rollout_action": rollout_action,
         "_ACTIONS": actions,
         "_SEEN": seen,
+        "_HAS_LEAF_VALUE": leaf_value is not None,
+        "_HAS_LEGAL": legal is not None,
+        "_BY_LIKELIHOOD": likelihood is not None,
+        **{part: one for part, one in optional.items() if one is not None},
     }
-    if leaf_value is not None:
-        name += "_leaves"
-        bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
-    else:
-        rollout = {"_step": step, "_rollout_action": rollout_action}
-        bound |= {"_roll_out": specialise(_roll_out_template, name, rollout, inline=True)}
-    if legal is not None:
-        forbid = specialise(_forbid_template, name, {"_legal": legal}, inline=True)
-        bound |= {"_legal": legal, "_forbid": forbid, "_HAS_LEGAL": True}
-    if likelihood is not None:
-        bound |= {
-            "_BY_LIKELIHOOD": True,
-            "_profile": profile_kernel(name, likelihood),
-            "_add_reference": add_reference_kernel(name, likelihood),
-        }
-        name += "_by_likelihood"
-    return specialise(_search_template, name, bound, allocates=False)
+    found: Callable[..., Any] = bound(_search, name, parts)
+    return found
+
+
+@functools.cache
+def _profile_kernel(name: str, likelihood: Callable[..., Any]) -> Callable[..., Any]:
+    found: Callable[..., Any] = bound(profile_of, name, {"_likelihood": likelihood})
+    return found
 
 
 class Planner:
@@ -410,7 +393,17 @@ class Planner:
         self._tree = tree
         self._roots = np.zeros(options.simulations, np.uint32)
         self._returns = no_returns(tree.statistics.shape[1])
-        self._search = search_kernel(model, self._by_likelihood)
+        self._search = _search_kernel(
+            model.name,
+            model.step,
+            model.observe,
+            model.rollout_action,
+            model.leaf_value,
+            model.legal,
+            model.likelihood if self._by_likelihood else None,
+            model.action_count,
+            model.observation_dim,
+        )
         self._origin = np.zeros(nodes, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
         self._scratch = SearchMemory(
@@ -475,7 +468,7 @@ class Planner:
             return int(nearest_child(tree, 0, action, seen)[0])
         if tree.links[0, action, CHILDREN] == 0:
             return -1
-        profile_kernel(self._model.name, self._model.likelihood)(
+        _profile_kernel(self._model.name, self._model.likelihood)(
             self._model.parameters,
             tree,
             0,

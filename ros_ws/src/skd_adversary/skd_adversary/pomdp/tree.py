@@ -17,13 +17,12 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import kernel, template, unbound
 
 Float32Array = npt.NDArray[np.float32]
 Int32Array = npt.NDArray[np.int32]
@@ -331,7 +330,8 @@ def set_profile(tree: SearchTree, child: int, known: int) -> None:
         tree.profile[child, k] = math.sqrt(tree.likelihood[child, k] * scale)
 
 
-def _profile_template(
+@template
+def profile_of(
     parameters: Any,
     tree: SearchTree,
     node: int,
@@ -355,7 +355,8 @@ def _profile_template(
         profile[i] = math.sqrt(likelihood[i] * scale)
 
 
-def _add_reference_template(
+@template
+def add_reference(
     parameters: Any,
     tree: SearchTree,
     node: int,
@@ -376,15 +377,3 @@ def _add_reference_template(
         set_profile(tree, candidate, known + 1)
         candidate = tree.sibling[candidate]
     tree.basis[node, action, KNOWN] = known + 1
-
-
-@functools.cache
-def profile_kernel(name: str, likelihood: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the kernel that computes an observation's profile; see `_profile_template`."""
-    return specialise(_profile_template, name, {"_likelihood": likelihood}, inline=True)
-
-
-@functools.cache
-def add_reference_kernel(name: str, likelihood: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the kernel that makes a state one of an action's references; see `_add_reference_template`."""
-    return specialise(_add_reference_template, name, {"_likelihood": likelihood}, inline=True)

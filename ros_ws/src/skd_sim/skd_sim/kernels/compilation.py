@@ -329,6 +329,61 @@ def specialise(
     return kernel(inline=True)(copy) if inline else kernel(allocates=allocates)(copy)
 
 
+class Template:
+    """A kernel to be, which calls other kernels, or other templates of its module, by name; see `template`."""
+
+    def __init__(self, function: Callable[..., Any], inline: bool, allocates: bool) -> None:
+        """Keep a function, and how it is compiled."""
+        self.function, self.inline, self.allocates = function, inline, allocates
+
+    def __call__(self, *_arguments: Any) -> Any:
+        """Refuse to be called: only a compiled copy can be.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError(f"{self.function.__qualname__} is a template; `bound` makes a kernel of it")
+
+
+@overload
+def template(function: _Function, /) -> _Function: ...
+
+
+@overload
+def template(*, inline: bool = ..., allocates: bool = ...) -> Callable[[_Function], _Function]: ...
+
+
+def template(function: Any = None, /, *, inline: bool = True, allocates: bool = True) -> Any:
+    """Make a function a template.
+
+    Args:
+        function: plain function that calls kernels by name.
+        inline: whether callers contain its code; see `kernel`.
+        allocates: whether it makes arrays; see `kernel`.
+    """
+    if function is None:
+        return functools.partial(template, inline=inline, allocates=allocates)
+    return Template(function, inline, allocates)
+
+
+def bound(part: Any, name: str, parts: Mapping[str, Any]) -> Any:
+    """Compile a template with the parts that it names, and so each template that it calls; return others as they are.
+
+    Args:
+        part: template, compiled kernel or None.
+        name: name of the composition, unique for these `parts`.
+        parts: kernel or number of each part, by name.
+    """
+    if not isinstance(part, Template):
+        return part
+    bindings = {}
+    for use in part.function.__code__.co_names:
+        helper = part.function.__globals__.get(use)
+        if use in parts or isinstance(helper, Template):
+            bindings[use] = parts[use] if use in parts else bound(helper, name, parts)
+    return specialise(part.function, name, bindings, allocates=part.allocates, inline=part.inline)
+
+
 _POINTS = np.linspace(-9.7, 9.3, 1021)
 
 

@@ -1,14 +1,14 @@
-"""The interface of a simulator, SKD's own world behind it, others by name, and the guard around those.
+"""The interface of a simulator, SKD's own world behind it, and simulators by name, whose frames are checked.
 
-A class with the two methods of `Simulator` and the count is enough. The guard looks at what no log shows: that frames
-are frames, finite and one after the other, and that the adversary goes where its commands send it.
+A class with the two methods of `Simulator` and the count is enough. What no log shows is checked: that frames are
+frames, finite and one after the other, and that the adversary goes where its commands send it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn, Protocol, TypeVar, cast
+from typing import Final, NamedTuple, NoReturn, Protocol, TypeVar, cast
 
 from skd_sim.controllers.loading import failed
 from skd_sim.errors import AssessmentError, UsageError
@@ -20,10 +20,6 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.state import AdversaryState, CarState, Scene
 from skd_sim.world.world import Contact, World, make_world
-
-if TYPE_CHECKING:
-    from skd_sim.world.episode import EpisodeSpec
-    from skd_sim.world.world import World
 
 
 class Frame(NamedTuple):
@@ -140,7 +136,7 @@ class WorldSimulator:
 
 
 _Result = TypeVar("_Result")
-_Place = tuple[float, float]
+_Point = tuple[float, float]
 
 DISOBEYED: Final = 0.05
 """m in a tick by which the adversary may be elsewhere than the velocities of this tick and the last one take it."""
@@ -148,28 +144,42 @@ STRAYED: Final = 1.0
 """m that it may be away from where it starts, and later from where all its commands would have taken it."""
 
 
-class CheckedSimulator:
-    """Another simulator, whose failures name it instead of ending in a traceback of ours; see `Simulator`.
+class NamedSimulator:
+    """The simulator that an episode names, kept from one episode to the next; see `Simulator`.
+
+    Failures of any but SKD's own world name it, and its frames are checked.
 
     Attributes:
-        strayed: greatest distance in this episode between the adversary and where its commands would have taken it, m.
+        strayed: greatest distance in this episode between the adversary and where its commands would have taken it, m;
+            0 of SKD's own world.
     """
 
-    def __init__(self, simulator: Simulator, name: str) -> None:
-        """Guard `simulator`, called `name` in messages."""
-        self._simulator, self._name = simulator, name
+    places_others: Final = True
+    """It asks the one that is named."""
+
+    def __init__(self) -> None:
+        """Wait for an episode."""
+        self._name, self._is_own = "", False
+        self._simulator: Simulator
         self.strayed = 0.0
 
     def reset(self, episode: EpisodeSpec) -> Frame:
-        """Pass the call on and check the frame; see `Simulator.reset`.
+        """Make the simulator if the episode names another one than the last did, and begin the episode.
 
         Raises:
             AssessmentError: it fails, or gives no frame of tick 0.
+            SimulatorError: a state is not finite, or the adversary is not where it is to start.
         """
+        if episode.simulator != self._name:
+            self._simulator = make_simulator(episode.simulator)
+            self._name, self._is_own = episode.simulator, is_own_world(episode.simulator)
+        require_others(self._simulator, self._name, episode)
+        self.strayed = 0.0
+        if self._is_own:
+            return self._simulator.reset(episode)
         self._step = episode.scenario.time_step
         self._ticks, self._periods = episode.scenario.ticks, episode.scenario.control_periods
-        self._before = self._told = (0.0, 0.0)
-        self.strayed = 0.0
+        self._before = self._command = (0.0, 0.0)
         frame = self._frame("reset", self._call("reset", lambda: self._simulator.reset(episode)), (0, 0))
         self._now, self._place, self._aim = (0, 0), frame.adversary[:2], episode.start
         self.strayed = math.dist(self._place, self._aim)
@@ -180,15 +190,17 @@ class CheckedSimulator:
         return frame
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        """Pass the call on and check the frame; see `Simulator.step`.
+        """Advance the simulator by one control period; see `Simulator.step`.
 
         Raises:
             AssessmentError: it fails, or gives no frame, or not the next one.
-            SimulatorError: a state is not finite, or the adversary is not where it was told to go.
+            SimulatorError: a state is not finite, or the adversary is not where its commands take it.
         """
+        if self._is_own:
+            return self._simulator.step(acceleration, velocity)
         tick, period = self._now
         if period == 0:
-            self._before, self._told = self._told, velocity
+            self._before, self._command = self._command, velocity
         answer = self._call("step", lambda: self._simulator.step(acceleration, velocity))
         # A contact ends a tick before all of its control periods are over.
         ended = isinstance(answer, Frame) and answer.contact is not None and answer.period == 0
@@ -196,25 +208,25 @@ class CheckedSimulator:
         frame = self._frame("step", answer, following)
         self._now = following
         if following[1] == 0:
-            self._look_where(frame.adversary[:2], tick)
+            self._check_place(frame.adversary[:2], tick)
         if frame.tick >= self._ticks and frame.outcome == Outcome.RUNNING:  # it would never end
             self._abort(AbortKind.REFUTED, f"it goes on after tick {frame.tick}, which is the last one")
         return frame
 
     @property
-    def places_others(self) -> bool:
-        """Whether the simulator says that it places the others of a scenario."""
-        return bool(getattr(self._simulator, "places_others", False))
-
-    @property
-    def clipped(self) -> int:
-        """How many commands of this episode asked more of the car than it can do."""
-        return int(self._call("clipped", lambda: self._simulator.clipped))
+    def world(self) -> World | None:
+        """SKD's own world, if that is the simulator; see `WorldSimulator.world`."""
+        return getattr(self._simulator, "world", None) if self._is_own else None
 
     @property
     def own_contact(self) -> float | None:
         """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
         return getattr(self._simulator, "own_contact", None)
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+        return int(self._call("clipped", lambda: self._simulator.clipped))
 
     def _frame(self, method: str, answer: object, expected: tuple[int, int]) -> Frame:
         """Return what a method has answered as a frame of plain numbers; see `step` for what is raised."""
@@ -235,17 +247,16 @@ class CheckedSimulator:
             self._fail(f"{method} must not end an episode between two ticks, as {frame.outcome.name} does")
         return frame
 
-    def _look_where(self, place: _Place, tick: int) -> None:
-        """Look whether the adversary has gone where it was told in a tick, at once or by up to a tick later."""
-        step, before, told = self._step, self._before, self._told
+    def _check_place(self, place: _Point, tick: int) -> None:
+        """Refuse an adversary that is not where its commands take it, at once or by up to a tick later."""
+        step, before, command = self._step, self._before, self._command
         moved = (place[0] - self._place[0], place[1] - self._place[1])
         late = (step * before[0], step * before[1])
-        at_once = (step * told[0], step * told[1])
+        at_once = (step * command[0], step * command[1])
         start, self._aim = self._aim, (self._aim[0] + at_once[0], self._aim[1] + at_once[1])
         self._place = place
-        off = _from_segment(moved, late, at_once)
+        off, away = _from_segment(moved, late, at_once), _from_segment(place, start, self._aim)
         self.strayed = max(self.strayed, math.dist(place, self._aim))
-        away = _from_segment(place, start, self._aim)
         if off > DISOBEYED:
             self._abort(
                 AbortKind.REFUTED, f"in tick {tick} the adversary goes {off:.3g} m beside where it was told to go"
@@ -274,7 +285,7 @@ def _moment(tick: int, period: int, periods: int) -> str:
     return f"tick {tick}" if periods == 1 and period == 0 else f"tick {tick}, control period {period}"
 
 
-def _from_segment(place: _Place, begin: _Place, end: _Place) -> float:
+def _from_segment(place: _Point, begin: _Point, end: _Point) -> float:
     """Return the distance of a place from the line between two others, m."""
     dx, dy = end[0] - begin[0], end[1] - begin[1]
     length = dx * dx + dy * dy
@@ -309,51 +320,3 @@ def repeats_itself(name: str) -> bool:
         UsageError: there is no such simulator, or it cannot be made.
     """
     return is_own_world(name) or bool(getattr(make_simulator(name), "repeats_itself", False))
-
-
-class NamedSimulator:
-    """The simulator that an episode names, kept from one episode to the next; see `Simulator`.
-
-    Any but SKD's own world is looked at as it goes; see `CheckedSimulator`.
-    """
-
-    places_others: Final = True
-    """It asks the one that is named."""
-
-    def __init__(self) -> None:
-        """Wait for an episode."""
-        self._name = ""
-        self._simulator: Simulator
-
-    def reset(self, episode: EpisodeSpec) -> Frame:
-        """Make the simulator if the episode names another one than the last did, and begin the episode."""
-        if episode.simulator != self._name:
-            made = make_simulator(episode.simulator)
-            self._name = episode.simulator
-            self._simulator = made if is_own_world(self._name) else CheckedSimulator(made, self._name)
-        require_others(self._simulator, self._name, episode)
-        return self._simulator.reset(episode)
-
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        """Advance the simulator by one control period."""
-        return self._simulator.step(acceleration, velocity)
-
-    @property
-    def world(self) -> World | None:
-        """SKD's own world, if that is the simulator; see `WorldSimulator.world`."""
-        return getattr(self._simulator, "world", None) if is_own_world(self._name) else None
-
-    @property
-    def own_contact(self) -> float | None:
-        """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
-        return getattr(self._simulator, "own_contact", None)
-
-    @property
-    def strayed(self) -> float:
-        """Greatest distance between the adversary and where it was told to go (m), of another simulator than SKD's."""
-        return getattr(self._simulator, "strayed", 0.0)
-
-    @property
-    def clipped(self) -> int:
-        """How many commands of this episode asked more of the car than it can do."""
-        return self._simulator.clipped
