@@ -17,7 +17,6 @@ from skd_adversary.car_models.laws import Family, Law, integral_transform, kolmo
 from skd_adversary.car_models.observations import RecordedEpisode, observe
 from skd_adversary.car_models.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
 from skd_sim.controllers import BasicController
-from skd_sim.controllers.cal import CalController
 from skd_sim.errors import UsageError
 
 
@@ -111,17 +110,6 @@ def test_speeding_up_is_limited():
     assert estimate(car, "cruise_speed") == pytest.approx(7.0, rel=0.03)
     assert estimate(car, "deceleration") == pytest.approx(2.0, rel=0.03)
     assert estimate(car, "trigger") == pytest.approx(KAPPA, rel=0.03)
-
-
-def test_a_car_with_many_strengths_of_braking_does_not_brake_by_speeding_up():
-    """cal brakes for part of a tick and speeds up again: its law is found, and braking slows it down."""
-    car = fit_car(logs_of(CalController(), 100, seed=12))
-    deceleration, noise = estimate(car, "deceleration"), estimate(car, "deceleration_noise")
-    assert 0.0 < deceleration * (1.0 - noise) < deceleration * (1.0 + noise) < 1.2 * 3.5
-    assert car.gate == "predicted"
-    # What its hazard network is taught at the cruising speed: a tick, the braking distance, 1 m; and a tick's travel.
-    zone = 0.3 * SCENARIO.car.start_speed + KAPPA + 1.0
-    assert zone < estimate(car, "trigger") < zone + 0.3 * SCENARIO.car.start_speed
 
 
 # --- calibration

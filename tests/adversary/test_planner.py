@@ -105,7 +105,7 @@ def test_action_after_each_observation_count_is_the_optimal_one(count: int) -> N
     assert share >= 0.5 + 3.1 * math.sqrt(0.25 / runs)
 
 
-@pytest.mark.parametrize("p_right", [0.5, 0.7, 0.85, 0.15])
+@pytest.mark.parametrize("p_right", [0.5, 0.85])
 def test_it_gathers_information_from_continuous_observations(p_right: float) -> None:
     """QMDP takes the state for known after one step: with it no belief is worth listening at a cost twice."""
     sigma = 1.0

@@ -370,10 +370,10 @@ def _forest_advance_car(
     count = int(p.forest_nodes[leaf, 2])
     donor = int(p.forest_nodes[leaf, 1]) + min(count - 1, int(count * rng.random()))
     speed_after = max(0.0, speed + float(p.forest_donors[donor, 0]))
-    way = 0.0
+    distance = 0.0
     if speed > 0.0 or speed_after > 0.0:
-        way = max(0.0, travelled(speed, speed_after, p.time_step) + float(p.forest_donors[donor, 1]))
-    next_state[CAR_S] = car_s + way
+        distance = max(0.0, travelled(speed, speed_after, p.time_step) + float(p.forest_donors[donor, 1]))
+    next_state[CAR_S] = car_s + distance
     next_state[CAR_SPEED] = speed_after
     next_state[TRIGGER] = _ALWAYS if speed - speed_after > _NOISE * speed else 0.0
     next_state[TREE] = state[TREE]

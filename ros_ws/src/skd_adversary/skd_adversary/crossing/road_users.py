@@ -146,12 +146,12 @@ PEDESTRIAN: Final = RoadUserModel(
 
 
 @kernel(inline=True)
-def nearest_walked(most: float, vx: float, vy: float, wanted_x: float, wanted_y: float) -> Pair:
-    """Return the velocity after a step that comes nearest to a wanted one, where it changes by at most `most`, m/s."""
-    dx, dy = wanted_x - vx, wanted_y - vy
+def nearest_walked(most: float, vx: float, vy: float, target_x: float, target_y: float) -> Pair:
+    """Return the velocity after a step that comes nearest to a requested one; it changes by `most` at most, m/s."""
+    dx, dy = target_x - vx, target_y - vy
     change = math.sqrt(dx * dx + dy * dy)
     if change <= most:
-        return wanted_x, wanted_y
+        return target_x, target_y
     return vx + most / change * dx, vy + most / change * dy
 
 
@@ -289,21 +289,21 @@ def ridden(limits: RidingLimits, heading: float, speed: float, action: int, most
 def nearest_ridden(
     limits: RidingLimits, heading: float, speed: float, vx: float, vy: float, most: float, time_step: float
 ) -> Pair:
-    """Return the velocity (East, North), m/s, over a step that comes nearest to a wanted one (vx, vy), m/s.
+    """Return the velocity (East, North), m/s, over a step that comes nearest to a requested one (vx, vy), m/s.
 
-    Between its actions it can do all: it comes as near as it can to the wanted speed, and at that speed turns as far as
-    it can to the wanted direction. Arguments as in `ridden`.
+    Between its actions it can do all: it comes as near as it can to the requested speed, and at that speed turns as far
+    as it can to the requested direction. Arguments as in `ridden`.
     """
     slowest = max(0.0, speed - time_step * limits.deceleration)
     fastest = max(most, speed)
     if speed + time_step * limits.acceleration < fastest:
         fastest = speed + time_step * limits.acceleration
-    wanted = math.sqrt(vx * vx + vy * vy)
+    target = math.sqrt(vx * vx + vy * vy)
     cos, sin = math.cos(heading), math.sin(heading)
     turn = math.atan2(cos * vy - sin * vx, cos * vx + sin * vy)  # 0 for who wants to stand
-    after = min(max(wanted, slowest), fastest)
+    after = min(max(target, slowest), fastest)
     sharpest = _sharpest(limits, after, time_step)
-    if abs(after - wanted) <= _SAME and abs(turn) <= sharpest + _SAME:
+    if abs(after - target) <= _SAME and abs(turn) <= sharpest + _SAME:
         return vx, vy
     direction = heading + min(max(turn, -sharpest), sharpest)
     return after * math.cos(direction), after * math.sin(direction)

@@ -79,10 +79,10 @@ def count_safe_trajectories(source: str | Path, scenario: Scenario) -> int:
 
 def _selection(path: Path, scenario: Scenario) -> Selection:
     if str(path) == REGULATORY:
-        ways = regulatory_trajectories(scenario)
-        for way in ways:
-            check_trajectory(scenario, way)
-        return Selection(ways, [])
+        found = regulatory_trajectories(scenario)
+        for one in found:
+            check_trajectory(scenario, one)
+        return Selection(found, [])
     try:
         if not path.is_dir():
             return Selection([read_csv_trajectory(path, scenario)], [])

@@ -87,7 +87,7 @@ class Ends(_Rows):
     ticks: IntArray | None = None
 
 
-class CrossingRunner(Protocol):
+class CrossingModel(Protocol):
     """Runs crossings of one car."""
 
     car_normals: int

@@ -24,7 +24,7 @@ from skd_sim.world.episode import Role, generator
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import OF_PERSON
 from skd_evaluator.metrics.risks import Subsets, Touch, crossings_lost
-from skd_evaluator.risk.crossings import CrossingPlan, CrossingRunner, Crossings, Ends
+from skd_evaluator.risk.crossings import CrossingPlan, CrossingModel, Crossings, Ends
 
 REPLICATES: Final = 16
 PER_LEVEL: Final = 1000
@@ -95,14 +95,14 @@ class Replicate(NamedTuple):
     reached: bool
 
 
-def levels_of(crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, effort: SubsetEffort) -> Levels:
+def levels_of(crossing_plan: CrossingPlan, model: CrossingModel, scale: float, effort: SubsetEffort) -> Levels:
     """Find the levels by a simulation whose own estimate is not used.
 
     Raises:
         AbortedCrossingsError: crossings of it were aborted.
     """
     count, rng = effort.per_level, generator(crossing_plan.plan.seed, _FIRST, Role.RISK, round(1000 * scale))
-    now, ends = _begun(crossing_plan, runner, scale, count, rng)
+    now, ends = _begun(crossing_plan, model, scale, count, rng)
     thresholds: list[float] = []
     steps: list[tuple[float, float]] = []
     step = [_STEP, _STEP]
@@ -114,7 +114,7 @@ def levels_of(crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float,
         parts = [(now.of(order), ends.of(order))]
         for turn in range(1, SHARE):
             kind = _kind(turn)
-            crossings, after, share = _next(*parts[-1], threshold, kind, step[kind], crossing_plan, runner, scale, rng)
+            crossings, after, share = _next(*parts[-1], threshold, kind, step[kind], crossing_plan, model, scale, rng)
             parts.append((crossings, after))
             tries = sum(_kind(one) == kind for one in range(1, turn + 1))
             step[kind] = min(0.999, step[kind] * math.exp((share - _WANTED) / math.sqrt(tries)))
@@ -125,13 +125,13 @@ def levels_of(crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float,
 
 
 def replicate(
-    crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, number: int, effort: SubsetEffort, levels: Levels
+    crossing_plan: CrossingPlan, model: CrossingModel, scale: float, number: int, effort: SubsetEffort, levels: Levels
 ) -> Replicate:
     """Run one simulation.
 
     Args:
         crossing_plan: what the crossings share.
-        runner: runs them.
+        model: runs them.
         scale: of the behaviour.
         number: of the replicate, from which its draws follow.
         effort: how much.
@@ -142,7 +142,7 @@ def replicate(
     """
     count, rng = effort.per_level, generator(crossing_plan.plan.seed, number, Role.RISK, round(1000 * scale))
     phis, probability = len(crossing_plan.safe), 1.0
-    now, ends = _begun(crossing_plan, runner, scale, count, rng)
+    now, ends = _begun(crossing_plan, model, scale, count, rng)
     for level, (threshold, step) in enumerate(zip(*levels, strict=True), start=1):
         inside = np.flatnonzero(ends.missed <= threshold)
         if not inside.size:
@@ -152,7 +152,7 @@ def replicate(
         parts = [(now.of(chosen), ends.of(chosen))]
         for turn in range(1, SHARE):
             kind = _kind(turn)
-            crossings, after, _ = _next(*parts[-1], threshold, kind, step[kind], crossing_plan, runner, scale, rng)
+            crossings, after, _ = _next(*parts[-1], threshold, kind, step[kind], crossing_plan, model, scale, rng)
             parts.append((crossings, after))
         now, ends = Crossings.together([one for one, _ in parts]), Ends.together([one for _, one in parts])
     hits = ends.touch == Touch.FRONT
@@ -161,26 +161,26 @@ def replicate(
 
 
 def _begun(
-    crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, count: int, rng: np.random.Generator
+    crossing_plan: CrossingPlan, model: CrossingModel, scale: float, count: int, rng: np.random.Generator
 ) -> tuple[Crossings, Ends]:
     """Return the crossings of the first level, which nobody has chosen, and how they ended."""
     phis = len(crossing_plan.safe)
     crossings = Crossings(
         (np.arange(count) + int(rng.integers(phis))) % phis,
         rng.standard_normal((count, crossing_plan.walker_normals)),
-        rng.standard_normal((count, runner.car_normals)),
+        rng.standard_normal((count, model.car_normals)),
         _DRAWS + rng.integers(_DRAWS, size=count),
     )
-    return crossings, _run(runner, crossings, scale)
+    return crossings, _run(model, crossings, scale)
 
 
-def _run(runner: CrossingRunner, crossings: Crossings, scale: float) -> Ends:
+def _run(model: CrossingModel, crossings: Crossings, scale: float) -> Ends:
     """Run crossings.
 
     Raises:
         AbortedCrossingsError: some were aborted.
     """
-    ends = runner.run(crossings, scale)
+    ends = model.run(crossings, scale)
     if lost := int((ends.touch == Touch.ABORTED).sum()):
         raise AbortedCrossingsError(lost)
     return ends
@@ -198,13 +198,13 @@ def _next(
     kind: int,
     step: float,
     crossing_plan: CrossingPlan,
-    runner: CrossingRunner,
+    model: CrossingModel,
     scale: float,
     rng: np.random.Generator,
 ) -> tuple[Crossings, Ends, float]:
     """Return crossings after a move within a level, how they ended, and the share of the moves that were accepted."""
     trial = _moved(now, _MOVED[kind], step, len(crossing_plan.safe), rng)
-    found = _run(runner, trial, scale)
+    found = _run(model, trial, scale)
     fine = found.missed <= threshold
     return now.where(fine, trial), ends.where(fine, found), float(fine.mean())
 

@@ -287,12 +287,29 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
     if function is None:
         return functools.partial(kernel, inline=inline, allocates=allocates, nogil=nogil)
     counts = not inline if allocates is None else allocates
-    # `_nrt` is one of numba's own options, of which its types do not know.
+    # Some of these are numba's own options, of which its types do not know.
     options: Any = {"forceinline": inline, "_nrt": counts, "nogil": nogil}
+    options |= {"no_cpython_wrapper": inline, "no_cfunc_wrapper": inline}
     made: Any = numba.njit(error_model="numpy", **options)(function)
     if isinstance(made, Dispatcher):  # not where numba is told to leave Python as it is
         vars(made)["_cache"] = KernelCache(made)
+        if inline:
+            made.__class__ = _InlinedKernel
     return made
+
+
+class _InlinedKernel(type(numba.njit(lambda: None))):  # type: ignore[misc]
+    """A kernel that other kernels contain: it is compiled without what Python calls it by.
+
+    That takes half of the time. Called from Python it is compiled once more.
+    """
+
+    @functools.cached_property
+    def _from_python(self) -> Any:
+        return kernel(self.py_func)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._from_python(*arguments)
 
 
 def unbound(*_arguments: Any) -> Any:

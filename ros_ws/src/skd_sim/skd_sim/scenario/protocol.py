@@ -6,7 +6,7 @@ the target is at its impact place.
 
 A target changes lanes on an arc, straight on, and on an arc back, at one speed. Euro NCAP's CCFhol has arcs with radii
 of 125 m (50 km/h, 44 m) and 250 m (70 km/h, 60 m) with 10 m between them (Vector's OSC-NCAP-scenarios, catalogue of
-trajectories, GVT_CCFhol_50 and GVT_CCFhol_70). Here a fifth of the way is straight, whatever the speed.
+trajectories, GVT_CCFhol_50 and GVT_CCFhol_70). Here a fifth of the path is straight, whatever the speed.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _ALONG = math.sin(math.radians(45.0))  # of who moves so or more along the lane,
 _LOOK, _HALVINGS = 0.02, 60  # s between two looks at where the car's front is, and how often that is halved
 _STRAIGHT = 0.2  # share of a lane change that is straight
 Covered = Callable[[FloatArray], FloatArray]
-"""Times since the start (s) → how far the target has got along its way by then, m."""
+"""Times since the start (s) → how far the target has got along its path by then, m."""
 
 
 def regulatory_trajectories(scenario: Scenario) -> list[Trajectory]:
-    """Return the target's way for each impact place of the scenario's protocol, in its order.
+    """Return the target's path for each impact place of the scenario's protocol, in its order.
 
-    A way ends where the adversary has arrived, or at the horizon. It is exact at each tick; between two ticks its speed
-    is uniform, whatever it accelerates.
+    A path ends where the adversary has arrived, or at the horizon. It is exact at each tick; between two ticks its
+    speed is uniform, whatever it accelerates.
 
     Raises:
         UsageError: the scenario has no protocol, its road has curves where the car meets the target, or its target
@@ -57,7 +57,7 @@ def meeting_time(scenario: Scenario) -> float:
 
 
 def time_of_meeting(scenario: Scenario) -> float:
-    """Return when the front of the unbraked car reaches the way of its protocol's target, s since the start.
+    """Return when the front of the unbraked car reaches the path of its protocol's target, s since the start.
 
     Where the target goes along the lane, or there is no protocol, that is at the crossing line.
     """
@@ -98,8 +98,8 @@ def _trajectory(scenario: Scenario, protocol: Protocol, place: float) -> Traject
         covered = _from_moving(protocol)(times)
     else:
         meeting, front = _front_reaches(scenario, start, direction)
-        way = float(direction @ (front - start)) + offset * math.copysign(1.0, direction[0])
-        covered = _crossing(scenario, protocol, place, way, meeting, times)
+        path = float(direction @ (front - start)) + offset * math.copysign(1.0, direction[0])
+        covered = _crossing(scenario, protocol, place, path, meeting, times)
     return _ended(scenario, start + covered[:, None] * direction, place)
 
 
@@ -109,7 +109,7 @@ def _direction(heading: float) -> FloatArray:
 
 
 def _ended(scenario: Scenario, positions: FloatArray, place: float) -> Trajectory:
-    """Return the way up to where the adversary has arrived, or to the horizon."""
+    """Return the path up to where the adversary has arrived, or to the horizon."""
     last = next(
         (tick for tick, (x, y) in enumerate(positions.tolist()) if scenario.end.arrived(x, y)), len(positions) - 1
     )
@@ -141,7 +141,7 @@ def _changing_lanes(
         scenario: fixed description of the test.
         protocol: its section.
         offset: where the impact place is, m to the right of the car's axis.
-        north: 1 of a target that drives the car's way, -1 of one that comes towards it.
+        north: 1 of a target that drives the direction of the car, -1 of one that comes towards it.
         times: s since the start.
     """
     assert protocol.change_time is not None
@@ -155,7 +155,7 @@ def _changing_lanes(
 
 
 def _from_moving(protocol: Protocol) -> Covered:
-    """Return the way of one that comes at its speed, and may brake."""
+    """Return the path of one that comes at its speed, and may brake."""
 
     def covered(times: FloatArray) -> FloatArray:
         if protocol.brake_after is None:
@@ -173,7 +173,7 @@ def _front_reaches(scenario: Scenario, start: FloatArray, direction: FloatArray)
 
     Args:
         scenario: fixed description of the test.
-        start: a point of the way of the target's centre (x, y), m.
+        start: a point of the path of the target's centre (x, y), m.
         direction: in which it goes, of length 1.
 
     Raises:
@@ -196,7 +196,7 @@ def _front_reaches(scenario: Scenario, start: FloatArray, direction: FloatArray)
         before, after = after, after + _LOOK
         if after > scenario.horizon:
             raise UsageError(
-                f"scenario {scenario.name}: the unbraked car does not get to the way of its protocol's target within "
+                f"scenario {scenario.name}: the unbraked car does not get to the path of its protocol's target within "
                 f"the horizon of {scenario.horizon:g} s; make horizon longer, or car.start_gap shorter"
             )
     for _ in range(_HALVINGS):
@@ -206,7 +206,7 @@ def _front_reaches(scenario: Scenario, start: FloatArray, direction: FloatArray)
 
 
 def _crossing(
-    scenario: Scenario, protocol: Protocol, place: float, way: float, meeting: float, times: FloatArray
+    scenario: Scenario, protocol: Protocol, place: float, path: float, meeting: float, times: FloatArray
 ) -> FloatArray:
     """Return how far the target has got across the lane at some times (s), m: at its place when the car's front is.
 
@@ -214,48 +214,48 @@ def _crossing(
         scenario: fixed description of the test.
         protocol: its section.
         place: the impact place, for messages.
-        way: how far it is from the start to there, m.
+        path: how far it is from the start to there, m.
         meeting: when the car's front is there, s since the start.
         times: s since the start.
     """
-    if protocol.speed <= 0.0 or way <= protocol.acceleration_distance:
+    if protocol.speed <= 0.0 or path <= protocol.acceleration_distance:
         raise UsageError(
             f"scenario {scenario.name}: the target cannot be at {place:g} % of the car's width at its speed: from its "
-            f"start it is {way:.3g} m to there; move adversary.start_x, or change protocol.speed"
+            f"start it is {path:.3g} m to there; move adversary.start_x, or change protocol.speed"
         )
     speeding = 2.0 * protocol.acceleration_distance / protocol.speed  # s, from standing to its speed
-    begins = meeting - speeding - (way - protocol.acceleration_distance) / protocol.speed
+    begins = meeting - speeding - (path - protocol.acceleration_distance) / protocol.speed
     if protocol.acceleration_distance <= 0.0:
-        return np.asarray(way - protocol.speed * (meeting - times))  # it has been moving before
+        return np.asarray(path - protocol.speed * (meeting - times))  # it has been moving before
     moved = np.clip(times - begins, 0.0, speeding)
     steady = np.maximum(0.0, times - begins - speeding)
     return np.asarray(protocol.acceleration_distance * (moved / speeding) ** 2 + protocol.speed * steady)
 
 
-def changed_over(way: FloatArray, length: float, aside: float) -> tuple[FloatArray, FloatArray]:
+def changed_over(path: FloatArray, length: float, aside: float) -> tuple[FloatArray, FloatArray]:
     """Return how far one who changes lanes has got along the lane and across it, both of them m.
 
-    Before the change and after it the way leads straight along the lane.
+    Before the change and after it the path leads straight along the lane.
 
     Args:
-        way: that has been covered since the change began, m; negative before it.
-        length: of the change, m of the way.
+        path: that has been covered since the change began, m; negative before it.
+        length: of the change, m of the path.
         aside: by how much it leads across, m, at least 0 and at most half of the length.
     """
     angle = _angle(length, aside)
     arc, straight = 0.5 * (1.0 - _STRAIGHT) * length, _STRAIGHT * length
     radius = arc / angle
-    within = np.clip(way, 0.0, length)
+    within = np.clip(path, 0.0, length)
     first = np.minimum(within, arc) / radius
     between = np.clip(within - arc, 0.0, straight)
     second = angle - np.maximum(within - arc - straight, 0.0) / radius
     along = radius * (np.sin(first) + math.sin(angle) - np.sin(second)) + between * math.cos(angle)
     across = radius * (1.0 - np.cos(first) + np.cos(second) - math.cos(angle)) + between * math.sin(angle)
-    return along + (way - within), across
+    return along + (path - within), across
 
 
 def _angle(length: float, aside: float) -> float:
-    """Return by how much the way is turned between the two arcs, rad."""
+    """Return by how much the path is turned between the two arcs, rad."""
 
     def across(angle: float) -> float:
         arc = (1.0 - _STRAIGHT) * length * (1.0 - math.cos(angle)) / angle

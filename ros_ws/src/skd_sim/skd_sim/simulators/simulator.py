@@ -235,8 +235,8 @@ class NamedSimulator:
         car, adversary = CarState(*map(float, answer.car)), AdversaryState(*map(float, answer.adversary))
         frame = answer._replace(car=car, adversary=adversary)
         if (frame.tick, frame.period) != expected:
-            said, wanted = (_moment(*one, self._periods) for one in ((frame.tick, frame.period), expected))
-            self._fail(f"{method} must return the frame of {wanted}, got that of {said}")
+            found, needed = (_moment(*one, self._periods) for one in ((frame.tick, frame.period), expected))
+            self._fail(f"{method} must return the frame of {needed}, got that of {found}")
         for whose, state in (("car", frame.car), ("adversary", frame.adversary)):
             for what, number in state._asdict().items():
                 if not math.isfinite(number):

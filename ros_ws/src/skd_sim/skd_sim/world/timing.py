@@ -41,9 +41,9 @@ def next_start(end: int) -> int:
     return (-(-end // NANOSECONDS) + 1) * NANOSECONDS
 
 
-def stamp_fault(stamp: int, wanted: int) -> str:
-    """Return what is wrong with the stamp (ns) of an answer to the state stamped `wanted` (ns), and what would help."""
-    behind = (wanted - stamp) / NANOSECONDS
+def stamp_fault(stamp: int, expected: int) -> str:
+    """Return what is wrong with the stamp (ns) of an answer to the state of another (ns), and what would help."""
+    behind = (expected - stamp) / NANOSECONDS
     if stamp == 0:
         return f"they are not set: copy the odometry's stamp, or {_ANY_STAMP}"
     if stamp > WALL_CLOCK:

@@ -187,8 +187,8 @@ def first_contact_of(
     if not speed >= least:
         share = math.inf
     if scenario.others:
-        ways = zip(scenario.others, scenario.others_at(tick), scenario.others_at(tick + 1), strict=True)
-        for other, (x, y, *_), after in ways:
+        moves = zip(scenario.others, scenario.others_at(tick), scenario.others_at(tick + 1), strict=True)
+        for other, (x, y, *_), after in moves:
             found, impact = sweep(
                 path, (x, y), after[:2], after[2:4], after.heading, footprint, other.shape, step, period, periods
             )

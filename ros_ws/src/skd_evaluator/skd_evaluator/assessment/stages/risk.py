@@ -31,7 +31,7 @@ from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.cars import AnyCar, KnownCar, batched_car, end_of
-from skd_evaluator.risk.crossings import CrossingPlan, CrossingRunner, Crossings, Ends
+from skd_evaluator.risk.crossings import CrossingPlan, CrossingModel, Crossings, Ends
 from skd_evaluator.risk.subset import (
     AbortedCrossingsError,
     Levels,
@@ -233,7 +233,7 @@ def _subsets(
     scale: float,
     effort: SubsetEffort,
     runner: Workers,
-    other: CrossingRunner | None,
+    other: CrossingModel | None,
     progress: Progress,
 ) -> Subsets:
     """Return what subset simulation finds; `other` runs crossings of a car that is not known.

@@ -66,12 +66,12 @@ class StageSpec:
         vehicle = VehicleSpec.of(scenario)
         furthest = START + scenario.horizon * vehicle.top_speed / 3.6 + scenario.car.front - _FIRST_BLOCK
         blocks = max(1, math.ceil(furthest / _SHORTEST_BLOCK / _BLOCKS_AT_ONCE)) * _BLOCKS_AT_ONCE
-        beside = _same_way(scenario.road)
+        beside = _same_direction(scenario.road)
         left, right = sum(number < 0 for number in beside), sum(number > 0 for number in beside)
         return cls(vehicle, scenario.road.lane_width, left, right, blocks)
 
 
-def _same_way(road: Road) -> list[int]:
+def _same_direction(road: Road) -> list[int]:
     """Return the numbers of the lanes beside the car's that are driven its way, as far as nothing is between."""
     numbers = {lane.number for lane in road.lanes if lane.beside and lane.direction == SAME}
     return [number for number in numbers if all(one in numbers for one in _between(number))]
@@ -97,13 +97,13 @@ class Decided:
 
 
 class _Env(MetaDriveEnv):
-    """MetaDrive's environment, which lets the car be told what it otherwise draws."""
+    """MetaDrive's environment, which lets the car be given what it otherwise draws."""
 
     @classmethod
     def default_config(cls) -> Any:
         config = super().default_config()
-        told = ("wheel_friction", "max_engine_force", "max_brake_force", "max_steering", "max_speed_km_h")
-        config["vehicle_config"].update(dict.fromkeys(told), allow_add_new_key=True)
+        added = ("wheel_friction", "max_engine_force", "max_brake_force", "max_steering", "max_speed_km_h")
+        config["vehicle_config"].update(dict.fromkeys(added), allow_add_new_key=True)
         return config
 
 

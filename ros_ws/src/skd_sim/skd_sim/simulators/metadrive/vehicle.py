@@ -103,7 +103,7 @@ class VehicleSpec:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The vehicle as MetaDrive is told of it."""
+        """The vehicle as MetaDrive has it."""
         return {
             "vehicle_model": MODEL,
             "length": self.length,
@@ -207,7 +207,7 @@ class Cast:
 
     def __init__(self, engine: Any, scenario: Scenario) -> None:
         """Make them."""
-        self._engine, self._of = engine, _who(scenario)
+        self._engine, self._of = engine, _bodies_of(scenario)
         self.adversary = self._put(scenario.adversary.shape, height_of(scenario.adversary.kind), scenario.adversary)
         self.others = [self._put(one.shape, height_of(one.kind), one) for one in scenario.others]
         self.standing = [
@@ -225,7 +225,7 @@ class Cast:
 
     def fits(self, scenario: Scenario) -> bool:
         """Return whether these are the bodies of a scenario, wherever they are."""
-        return self._of == _who(scenario)
+        return self._of == _bodies_of(scenario)
 
     @property
     def everybody(self) -> tuple[Placed, ...]:
@@ -237,7 +237,7 @@ class Cast:
         self._engine.clear_objects([body.id for body in self.everybody], force_destroy=True)
 
 
-def _who(scenario: Scenario) -> tuple[Any, ...]:
+def _bodies_of(scenario: Scenario) -> tuple[Any, ...]:
     """Return all of a scenario on which bodies depend."""
     people = [(one.kind, one.shape) for one in (scenario.adversary, *scenario.others)]
     return (*people, *((one.length, one.width, one.hides) for one in scenario.obstacles))

@@ -113,9 +113,9 @@ def _runge_kutta(
 def _roll(x: FloatArray, rest: FloatArray, acceleration: float, step: float, radius: float) -> None:
     """Advance the car as one body at walking pace, its springs at rest; only an engine makes wheels turn faster."""
     before, after = x[SPEED], max(0.0, x[SPEED] + acceleration * step)
-    way = 0.5 * step * (before + after)
-    x[X] += way * math.cos(x[YAW])
-    x[Y] += way * math.sin(x[YAW])
+    distance = 0.5 * step * (before + after)
+    x[X] += distance * math.cos(x[YAW])
+    x[Y] += distance * math.sin(x[YAW])
     x[SPEED] = after
     for i in range(YAW + 1, WHEELS):
         x[i] = rest[i]
