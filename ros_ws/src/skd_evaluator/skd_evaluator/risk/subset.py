@@ -24,7 +24,7 @@ from skd_sim.world.episode import Role, generator
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import OF_PERSON
 from skd_evaluator.metrics.risks import Subsets, Touch, crossings_lost
-from skd_evaluator.risk.crossings import CrossingPlan, CrossingModel, Crossings, Ends
+from skd_evaluator.risk.crossings import CrossingModel, CrossingPlan, Crossings, Ends
 
 REPLICATES: Final = 16
 PER_LEVEL: Final = 1000

@@ -31,7 +31,7 @@ from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.cars import AnyCar, KnownCar, batched_car, end_of
-from skd_evaluator.risk.crossings import CrossingPlan, CrossingModel, Crossings, Ends
+from skd_evaluator.risk.crossings import CrossingModel, CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import (
     AbortedCrossingsError,
     Levels,
