@@ -1,15 +1,16 @@
-"""Grids of `skd ncap` as they are stored, checked, and put into words and pictures."""
+"""Grids of `skd ncap` as they are stored, checked, and put into words."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
+from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.evaluation import requested_tests, scenario_of
-from skd_evaluator.extensions.ncap.layout import headline, layout_of, margin_text, reasons
+from skd_evaluator.extensions.ncap.layout import details, headline, layout_of, margin_text, reasons
 from skd_evaluator.extensions.ncap.matrices import Criterion, colour_of, known_scenarios, matrix_of, scenarios_of
-from skd_evaluator.extensions.ncap.page import details
-from skd_evaluator.extensions.ncap.result import RESULT, Grid, Ncap, NcapCell, as_data, ncap_of, read_ncap
+from skd_evaluator.extensions.ncap.result import RESULT, Grid, Ncap, NcapCell, as_data, read_ncap, with_regulator
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import load_scenario
@@ -17,15 +18,19 @@ from skd_sim.scenario.scenario_file import SCENARIOS, lineage
 from static_support import static_tests
 
 KMH = 1.0 / 3.6
+CELL = NcapCell(
+    speed=30.0, target=5.0, place=50.0, range="standard", criterion="relative impact speed", touched=True,
+    impact_speed=9.5, value=9.5, colour="brown", margin=0.5, margins=(0.25, 0.75),
+)  # fmt: skip
+GREEN = replace(CELL, touched=False, impact_speed=0.0, value=0.0, colour="green")
 
 
-def small(**changes: object) -> Ncap:
-    cell = NcapCell(
-        speed=30.0, target=5.0, place=50.0, range="standard", criterion="relative impact speed", touched=True,
-        impact_speed=9.5, value=9.5, colour="brown", margin=0.5, margins=(0.25, 0.75),
-    )  # fmt: skip
-    cells = (NcapCell(**{**vars(cell), **changes}),)
-    return Ncap(skd="0", car="a car", seed=0, trials=2, margin_limit=9, room=0.5, grids=(Grid("cpna", "x", cells),))
+def of(*cells: NcapCell) -> Ncap:
+    return Ncap(skd="0", car="a car", seed=0, trials=2, margin_limit=9, grids=(Grid("cpna", "x", cells),))
+
+
+def store(folder, data: object) -> None:
+    (folder / RESULT).write_text(json.dumps(data), encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -35,82 +40,85 @@ def small(**changes: object) -> Ncap:
         ({"colour": "green"}, "a relative impact speed of 9.5 km/h is brown, not green"),
         ({"value": None}, "does not say of what"),
         ({"speed": 35.0}, "there are no colours at 35 km/h"),
-        ({"margins": ()}, "no mean of those of its trials"),
-        ({"margin": None}, "has no margin, which is no mean"),
-        ({"margin": 0.4}, "has a margin of 0.4 m, which is no mean"),  # between the least and the greatest
-        ({"margins": (0.5,)}, "has margins of 1 trials, and there were 2"),
+        ({"margins": ()}, "not the mean of 2 trials"),
+        ({"margin": None}, "not the mean"),
+        ({"margin": 0.4}, "not the mean"),  # between the least and the greatest
+        ({"margins": (0.5,)}, "not the mean of 2 trials"),
         ({"colour": "blue"}, "must be one of"),
         ({"margin": -1.0}, "must be a number from 0"),
     ],
 )
 def test_a_file_that_contradicts_itself_is_refused(tmp_path, changes, said):
-    found = small(**changes)
-    (tmp_path / RESULT).write_text(json.dumps({**as_data(found), "provenance": {}}), encoding="utf-8")
+    found = of(replace(CELL, **changes))
+    store(tmp_path, {**as_data(found), "provenance": {}})
     if said:
         with pytest.raises(UsageError, match=said):
             read_ncap(tmp_path)
+        assert with_regulator(Verified(tmp_path, None)).problems
     else:
         assert read_ncap(tmp_path) == found
 
 
-def test_a_file_of_another_version_or_kind_is_refused(tmp_path):
-    for data in ({**as_data(small()), "ncap": 2}, {}, [], {**as_data(small()), "more": 1}):
-        with pytest.raises(UsageError, match="there"):
-            ncap_of(data, "there")
+@pytest.mark.parametrize("data", [{**as_data(of(CELL)), "ncap": 2}, {}, [], {**as_data(of(CELL)), "more": 1}])
+def test_a_file_of_another_version_or_kind_is_refused(tmp_path, data):
+    store(tmp_path, data)
     with pytest.raises(UsageError, match=RESULT):
         read_ncap(tmp_path)
 
 
-def test_a_green_test_with_as_much_room_as_wanted_is_not_narrow():
-    green = {"colour": "green", "value": 0.0, "impact_speed": 0.0, "touched": False, "margins": (0.5,)}
-    for margin, narrow in ((0.5, False), (0.49, True), (None, False)):
-        (cell,) = small(**green, margin=margin).grids[0].cells
-        assert cell.is_narrow(0.5) == narrow
-    head_on = {"colour": "green", "criterion": "speed reduction", "value": 25.0, "margin": 0.0, "margins": (0.0,)}
-    for changes in ({}, head_on):  # red, and green though it hits
-        (cell,) = small(**changes).grids[0].cells
-        assert not cell.is_narrow(9.0)
-    assert margin_text(NcapCell(speed=1.0, margin=5.0, margins=(5.0, 5.0), beyond=2)) == "≥5.00"
+@pytest.mark.parametrize(
+    ("cell", "narrow"),
+    [
+        (replace(GREEN, margin=0.5), False),
+        (replace(GREEN, margin=0.49), True),
+        (replace(GREEN, margin=None), False),
+        (replace(CELL, margin=0.0), False),  # brown
+        (replace(GREEN, criterion="speed reduction", value=25.0, impact_speed=20.0, margin=0.0), False),
+    ],
+)
+def test_a_green_test_without_a_hit_is_narrow_below_the_room(cell, narrow):
+    assert cell.is_narrow(0.5) == narrow
 
 
-def test_a_green_test_whose_margin_nobody_measured_says_so():
-    """Where no trial has a hit, η_max stands for the margin, and the cell is not framed for that reason alone."""
-    safe = {"colour": "green", "value": 0.0, "impact_speed": 0.0, "touched": False}
-    (grid,) = small(**safe, margin=5.0, margins=(5.0, 5.0), beyond=2).grids
-    assert headline(grid, 0.5).endswith("none with less than 0.5 m of room; of 1 because no hit was found.")
-    line = "the search found no hit in any trial: the margin stands at η_max, and was not measured"
-    assert reasons(grid) == [f"30 km/h, 50 %: {line}"]
-    assert "no hit was found in 2 of 2 trials, which count as η_max" in details(grid.cells[0])
-    (grid,) = small(**safe, margin=3.0, margins=(1.0, 5.0), beyond=1).grids
-    assert headline(grid, 0.5).endswith("none with less than 0.5 m of room.")
-    assert line not in " ".join(reasons(grid))
-    assert "no hit was found in 1 of 2 trials" in details(grid.cells[0])
-
-
-def test_a_trial_in_which_nobody_can_be_hit_is_not_hidden_in_a_mean():
-    """Four hits and one trial without any are no margin of 1 m without a word."""
-    (grid,) = small(margin=1.0, margins=(0.0, 0.0, 0.0, 0.0, 5.0), beyond=1).grids
-    assert margin_text(grid.cells[0]) == "≥1.00"
-    assert any("in some trials nobody could be hit within η_max" in line for line in reasons(grid))
-    assert margin_text(NcapCell(speed=1.0, margin=1.0, margins=(0.0, 2.0), beyond=1, converged=False)) == "1.00"
-    (grid,) = small(margin=0.5, margins=(0.5,), beyond=0).grids
-    assert not any("nobody could be hit" in line for line in reasons(grid))
+def test_a_margin_that_is_a_bound_says_so(tmp_path):
+    """A search that has not converged may have missed a hit, so that it gives no least value."""
+    lower, upper = replace(CELL, margin=3.0, margins=(1.0, 5.0), beyond=1), replace(CELL, converged=False)
+    assert [margin_text(cell) for cell in (CELL, lower, upper, replace(upper, beyond=1))] == [
+        "0.50", "≥3.00", "≤0.50", "≤0.50",
+    ]  # fmt: skip
+    store(tmp_path, as_data(of(CELL, lower, upper)))
+    verified = with_regulator(Verified(tmp_path, None))
+    assert not verified.problems
+    assert [line.partition(":")[0] for line in verified.remarks[:2]] == [
+        "1 of 3 margins are lower bounds", "1 of 3 margins are upper bounds",
+    ]  # fmt: skip
 
 
 def test_what_is_said_of_a_grid():
-    unsure = NcapCell(speed=30.0, place=50.0, colour="green", margin=2.0, margins=(2.0,), converged=False)
-    refused = [
-        NcapCell(speed=speed, place=50.0, why="it is too fast", margin_why="it is too fast") for speed in (70.0, 80.0)
-    ]
-    grid = Grid("cpna", "", (unsure, *refused))
-    assert headline(grid, 0.5) == "1 of 1 test is green, none with less than 0.5 m of room."
-    assert reasons(grid) == [
+    safe = replace(GREEN, margin=5.0, margins=(5.0, 5.0), beyond=2)
+    (line,) = reasons(of(safe).grids[0])
+    assert line == "30 km/h, 50 %: no hit was found in any trial: the margin stands at η_max, and was not measured"
+    assert "no hit was found in 2 of 2 trials, which count as η_max" in details(safe)
+    (line,) = reasons(of(replace(safe, margin=3.0, margins=(1.0, 5.0), beyond=1)).grids[0])
+    assert "in some trials no hit was found" in line
+    assert headline(of(safe).grids[0]) == "1 of 1 test is green, none with a margin below 0.5 m."
+    refused = [replace(CELL, speed=speed, colour="", why="it is too fast") for speed in (70.0, 80.0)]
+    unsure = replace(GREEN, margin=2.0, converged=False)
+    assert reasons(of(unsure, *refused).grids[0]) == [
         "30 km/h, 50 %: the search for the margin has not converged, which is an upper bound: try a greater "
         "--margin-limit",
         "2 cells, from 70 km/h, 50 %: it is too fast",
     ]
-    assert headline(Grid("cpna", "", tuple(refused)), 0.5) == "No test has a colour."
-    assert headline(small(margin=None, margins=()).grids[0], 0.5) == "0 of 1 test is green."
+    assert headline(of(*refused).grids[0]) == "No test has a colour."
+    assert headline(of(replace(CELL, margin=None, margins=())).grids[0]) == "0 of 1 test is green."
+
+
+def test_a_slow_test_is_explained_by_the_time_that_the_car_leaves_itself():
+    slow, fast = replace(CELL, braking_ttc=0.75), replace(GREEN, speed=60.0, braking_ttc=2.25)
+    (line,) = reasons(of(slow, fast).grids[0])
+    assert line.startswith("Why 30 km/h is brown and 60 km/h green: the car begins to brake 0.8 s before the target")
+    for unlike in (replace(fast, braking_ttc=0.5), replace(fast, place=25.0), replace(fast, speed=20.0)):
+        assert reasons(of(slow, unlike).grids[0]) == []
 
 
 def test_columns_are_places_or_the_speeds_of_targets():
@@ -119,13 +127,13 @@ def test_columns_are_places_or_the_speeds_of_targets():
     cells = tuple(NcapCell(speed=one.speed, target=one.target, place=one.place) for one in head_on.points)
     layout = layout_of(Grid("ccfhos", "", cells))
     assert layout.columns == ("25 %", "50 %", "75 %", "100 %")
-    assert [row.label for row in layout.rows][:4] == ["30 (50)", "40 (50)", "50 (50)", "60 (70)"]
+    assert [label for label, _ in layout.rows][:4] == ["30 (50)", "40 (50)", "50 (50)", "60 (70)"]
     crossing = matrix_of("cccscp")
     assert crossing is not None
     cells = tuple(NcapCell(speed=one.speed, target=one.target, place=one.place) for one in crossing.points)
     layout = layout_of(Grid("cccscp", "", cells))
     assert layout.columns == tuple(f"{speed} km/h" for speed in range(20, 90, 10))
-    assert [sum(cell is not None for cell in row.cells) for row in layout.rows] == [7, 7, 5, 5, 5, 2, 2]
+    assert [sum(cell is not None for cell in cells) for _, cells in layout.rows] == [7, 7, 5, 5, 5, 2, 2]
 
 
 def test_every_test_of_the_matrices_can_be_had():

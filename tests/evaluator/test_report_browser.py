@@ -205,23 +205,32 @@ def test_it_fits_every_screen_and_paper(browser, file):
     assert len(backgrounds) == 2
 
 
-def test_the_regulators_view_is_no_wider_than_a_telephone(browser, tmp_path):
-    """Seven impact places, with equivalent multipliers, are: they scroll in a region that takes the focus."""
-    cells = tuple(
-        NcapCell(speed=30.0, place=place, colour="green", margin=0.3, margins=(0.3,), equivalent_text="below 1.25")
-        for place in (0.0, 10.0, 25.0, 50.0, 75.0, 90.0, 100.0)
-    )
-    grid = Grid("cpna", "A pedestrian.", cells)
-    view = Ncap(skd="0", car="a car", seed=0, trials=1, margin_limit=9, room=0.5, grids=(grid,))
-    path = tmp_path / "ncap.html"
+@pytest.fixture(scope="module")
+def regulators_page(tmp_path_factory):
+    """Seven impact places, green with a margin, and red."""
+    places = (0.0, 10.0, 25.0, 50.0, 75.0, 90.0, 100.0)
+    green = [NcapCell(speed=60.0, place=one, colour="green", margin=0.3, margins=(0.3,), beyond=1) for one in places]
+    red = [
+        NcapCell(speed=20.0, place=one, colour="red", impact_speed=10.0, margin=0.0, margins=(0.0,)) for one in places
+    ]
+    grid = Grid("cpna", "A pedestrian.", (*red, *green))
+    path = tmp_path_factory.mktemp("ncap") / "ncap.html"
+    view = Ncap(skd="0", car="a car", seed=0, trials=1, margin_limit=9, grids=(grid,))
     path.write_text(regulators_view(view), encoding="utf-8")
-    page = browser.new_page(viewport={"width": 400, "height": 800})
-    page.goto(path.as_uri())
-    assert page.evaluate("document.documentElement.scrollWidth") <= 400
-    assert page.evaluate("document.querySelector('.scroll').scrollWidth") > 400
-    page.keyboard.press("Tab")
-    assert page.evaluate("document.activeElement.className") == "scroll"
-    page.close()
+    return path
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(400, "light"), (400, "dark"), (1280, "light"), (1280, "dark")])
+def test_the_regulators_view_fits_a_telephone_in_its_colours(browser, regulators_page, axe, width, scheme):
+    page = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme).new_page()
+    page.goto(regulators_page.as_uri())
+    assert page.evaluate("document.querySelector('table').getBoundingClientRect().right") <= width
+    for name, colour in (("green", "rgb(0, 153, 51)"), ("red", "rgb(255, 51, 51)")):
+        assert page.evaluate(f"getComputedStyle(document.querySelector('td.{name}')).backgroundColor") == colour
+    clipped = "[...document.querySelectorAll('td')].filter((one) => one.scrollWidth > one.clientWidth).length"
+    assert page.evaluate(clipped) == 0
+    assert serious_findings(page, axe, RULES) == []
+    page.context.close()
 
 
 def test_axe_finds_nothing_serious(browser, file, axe):

@@ -227,7 +227,7 @@ class EpisodeOptions:
         low=1,
         high=100_000,
         metavar="N",
-        commands=(*COMMANDS, "ncap"),
+        commands=COMMANDS,
         planning=True,
     )
     objective: Objective = option(

@@ -6,8 +6,10 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.protocol import regulatory_trajectories
+from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -63,6 +65,8 @@ class StaticTest:
         impact_speed: speed of the car when it did, m/s; 0 where it did not.
         speed_ahead: speed of the target the way that the car pointed then, m/s; 0 where it was not touched.
         fastest: greatest speed of the car, m/s.
+        braking_ttc: time to collision when the car began to brake, along the lane with both speeds kept, s; None where
+            it did not brake before the target.
         aborted: why the test was aborted; empty: it was not.
 
     Raises:
@@ -75,6 +79,7 @@ class StaticTest:
     impact_speed: float = 0.0
     speed_ahead: float = 0.0
     fastest: float = 0.0
+    braking_ttc: float | None = None
     aborted: str = ""
 
     def __post_init__(self) -> None:
@@ -97,11 +102,31 @@ class StaticTest:
             impact_speed=impact,
             speed_ahead=speed_ahead(log) if touched else 0.0,
             fastest=max(impact, float(log.car[:, 3].max())),
+            braking_ttc=braking_ttc(log),
         )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry in assessment.json."""
         return dataclasses.asdict(self)
+
+
+_BRAKES = 0.5  # m/s² by which a car slows at least that brakes
+
+
+def braking_ttc(log: EpisodeLog) -> float | None:
+    """Return the time to collision along the lane (s) at the tick from which the car brakes; None where it does not."""
+    scenario = log.episode.scenario
+    slows = np.flatnonzero(np.diff(log.car[:, 3]) < -_BRAKES * scenario.time_step)
+    if not slows.size:
+        return None
+    tick = int(slows[0])
+    line = scenario.road.line
+    (_, front), (_, there), (_, then) = right_and_along(
+        line, np.array([log.car[tick, :2], log.adversary[tick], log.adversary[tick + 1]])
+    ).tolist()
+    gap = there - front - scenario.car.front
+    closing = float(log.car[tick, 3]) - (then - there) / scenario.time_step
+    return gap / closing if gap > 0.0 and closing > 0.0 else None
 
 
 def place_of(name: str) -> float | None:

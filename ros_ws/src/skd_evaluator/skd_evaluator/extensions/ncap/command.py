@@ -12,6 +12,7 @@ from pathlib import Path
 from skd_sim.errors import UsageError
 from skd_sim.options.options import options_of, values_of
 from skd_sim.scenario.scenario_file import REGULATORY
+from skd_sim.world.episode import EpisodeLog
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.from_options import check_car
@@ -21,7 +22,13 @@ from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
 from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.ncap.evaluation import NcapLogs, NcapRequest, evaluated_grid, requested_tests, scenario_of
+from skd_evaluator.extensions.ncap.evaluation import (
+    NcapRequest,
+    evaluated_grid,
+    log_warnings,
+    requested_tests,
+    scenario_of,
+)
 from skd_evaluator.extensions.ncap.layout import print_ncap
 from skd_evaluator.extensions.ncap.result import (
     HOW,
@@ -47,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     request = request_of(arguments, sources)
     out = result_folder(arguments)
     grids: list[Grid] = []
-    seen = NcapLogs()
+    logs: list[EpisodeLog] = []
     try:
         with runner_of(arguments, isolated=request.plan.runs_others_code) as runner:
             if request.margin_limit:
@@ -55,21 +62,23 @@ def run(arguments: argparse.Namespace) -> int:
             runner.start()
             with progress_bar(quiet=arguments.quiet) as progress:
                 for source in sources:
-                    grids.append(evaluated_grid(source, request, runner, progress, seen))
+                    grid, tests = evaluated_grid(source, request, runner, progress)
+                    grids.append(grid)
+                    logs += tests
     except KeyboardInterrupt:
         if not grids:
             raise
-        print_ncap(_found(arguments, request, grids))
+        print_ncap(_found(request, grids))
         print(
             f"skd ncap: interrupted; nothing was written. What is above is of {len(grids)} of {len(sources)} "
             "scenarios; the same command begins anew and gives the same",
             file=sys.stderr,
         )
         return _INTERRUPTED
-    warnings = tuple(seen.warnings)
+    warnings = log_warnings(logs)
     if not (car := request.plan.car).is_own:
-        warnings = (*repeatability(car.controller, [*seen.tests, *seen.kamikazes], fresh_process), *warnings)
-    found = replace(_found(arguments, request, grids), warnings=warnings)
+        warnings = [*repeatability(car.controller, logs, fresh_process), *warnings]
+    found = replace(_found(request, grids), warnings=tuple(warnings))
     content = {**as_data(found), "provenance": provenance(arguments.command_line, request.plan.car)}
 
     def write(folder: Path) -> None:
@@ -105,7 +114,7 @@ def names_in(text: str) -> list[str]:
 
 
 def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapRequest:
-    """Return what is asked of every scenario, after all checks that can be made before any work.
+    """Return what is requested of every scenario, after all checks that can be made before any work.
 
     Raises:
         UsageError: there is no such scenario or car, or they do not go together.
@@ -118,14 +127,14 @@ def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapReq
     checked = check_car(values, scenario, graph=False)
     period = None if checked.control_period == scenario.control_period else checked.control_period
     plan = Plan(scenario, **values_of(CampaignOptions, values))
-    return NcapRequest(plan, period, arguments.speeds, arguments.margin_limit, arguments.planned, arguments.equivalent)
+    return NcapRequest(plan, period, arguments.speeds, arguments.margin_limit)
 
 
 def _is_evaluated(grid: Grid) -> bool:
     return any(cell.touched is not None for cell in grid.cells)
 
 
-def _found(arguments: argparse.Namespace, request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
+def _found(request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
     plan, counts = request.plan, with_calculator()
     car = f"{plan.controller}, C = {plan.multiplier:g}" if plan.car.has_multiplier else plan.controller
     return Ncap(
@@ -134,7 +143,6 @@ def _found(arguments: argparse.Namespace, request: NcapRequest, grids: Sequence[
         seed=plan.seed,
         trials=plan.kamikaze_count,
         margin_limit=request.margin_limit,
-        room=arguments.room,
         grids=tuple(grids),
         points=tuple(points_of(grids)) if counts else (),
         points_why="" if counts else HOW,

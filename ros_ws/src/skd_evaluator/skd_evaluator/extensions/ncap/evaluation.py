@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
@@ -12,26 +12,30 @@ from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.scenario.scenario_file import REGULATORY, lineage
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.context import Progress
-from skd_evaluator.assessment.objective_result import objective_result
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import undisturbed_drives
-from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
-from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin, with_planned_hits
+from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import StaticTest, static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, ProtocolMatrix, colour_of, matrix_of
-from skd_evaluator.extensions.ncap.result import EXTENDED, STANDARD, Grid, NcapCell, rounded_kmh
-from skd_evaluator.margin.basic_margins import yardstick
-from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
+from skd_evaluator.extensions.ncap.result import Grid, NcapCell
 from skd_evaluator.metrics.margins import Margins
 
+KMH = 3.6
+SAME = 1e-6
+"""km/h, within which two speeds are the same."""
 FASTER = 1.0
 """km/h by which a car may exceed the test speed: one that drives by itself may speed up before it sees anybody."""
+_ROUNDED = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
+
+
+def rounded_kmh(speed: float) -> float:
+    """Return a speed in km/h, rounded so that what was asked for in km/h comes back as it was."""
+    return round(speed, _ROUNDED) + 0.0  # no −0
 
 
 def with_test(
@@ -44,14 +48,14 @@ def with_test(
         tested: its test.
         target: speed of the target in that, km/h.
         point: what 2026's matrix has there; None: nothing.
-        why_none: why the car's own driving makes it no test; empty if it does not, or nobody looked.
+        why_none: why the car's own driving makes it no test; empty if it does not, or it is not known.
     """
     if tested.aborted:
         return replace(cell, why=f"the test was aborted: {tested.aborted}")
     impact = rounded_kmh(KMH * tested.impact_speed)
-    cell = replace(cell, touched=tested.touched, impact_speed=impact)
+    cell = replace(cell, touched=tested.touched, impact_speed=impact, braking_ttc=tested.braking_ttc)
     if tested.touched and not tested.target:
-        return replace(cell, why="the car touched somebody else than the target")
+        return replace(cell, why="the car touched another road user than the target")
     if point is None:
         return cell
     fastest = KMH * tested.fastest
@@ -60,32 +64,19 @@ def with_test(
     if why_none:
         return replace(cell, why=why_none)
     if not math.isclose(target, point.target, abs_tol=SAME):
-        told = f"the test's target has {point.target:g} km/h, this one {target:.3g} km/h"
-        return replace(cell, target=None, why=told)
-    ahead = rounded_kmh(KMH * tested.speed_ahead)
+        said = f"the test's target has {point.target:g} km/h, this one {target:.3g} km/h"
+        return replace(cell, target=None, why=said)
     value = {
-        Criterion.RELATIVE: rounded_kmh(impact - ahead),
+        Criterion.RELATIVE: rounded_kmh(impact - rounded_kmh(KMH * tested.speed_ahead)),
         Criterion.IMPACT: impact,
         Criterion.REDUCTION: rounded_kmh(point.speed - impact),
     }[point.criterion]
     return replace(cell, value=value, colour=colour_of(point.criterion, point.speed, value))
 
 
-def in_matrix(cell: NcapCell, point: MatrixPoint | None) -> NcapCell:
-    """Return a cell with the range in which it is, and what its colour goes by."""
-    if point is None:
-        return cell
-    return replace(cell, range=STANDARD if point.standard else EXTENDED, criterion=str(point.criterion))
-
-
-KMH = 3.6
-SAME = 1e-6
-"""km/h, within which two speeds are the same."""
-
-
 @dataclass(frozen=True)
 class NcapTest:
-    """A cell that is asked for.
+    """A cell that is requested.
 
     Attributes:
         speed: test speed, km/h.
@@ -163,63 +154,42 @@ def scenario_of(source: str, test: NcapTest, matrix: ProtocolMatrix | None) -> S
 
 @dataclass(frozen=True)
 class NcapRequest:
-    """What is asked of every scenario.
+    """What is requested of every scenario.
 
     Attributes:
-        plan: the car, and how its kamikazes are planned, in whatever scenario.
+        plan: the car, and its trials, in whatever scenario.
         control_period: time between two decisions that the controller declares, s; None: it declares none.
         speeds: test speeds, km/h; None: those of the matrix.
         margin_limit: candidates that the search for the margin may drive in each trial; 0: no margin.
-        planned: whether kamikazes are planned, too.
-        equivalent: whether basic cars are compared in the same trials, too.
     """
 
     plan: Plan
     control_period: float | None
     speeds: Sequence[float] | None
     margin_limit: int
-    planned: bool
-    equivalent: bool = False
 
 
-@dataclass
-class NcapLogs:
-    """What a car has done in all scenarios.
-
-    Attributes:
-        tests: its static tests.
-        kamikazes: episodes in which somebody planned to be hit.
-    """
-
-    tests: list[EpisodeLog] = field(default_factory=list)
-    kamikazes: list[EpisodeLog] = field(default_factory=list)
-
-    @property
-    def warnings(self) -> list[str]:
-        """How many episodes were aborted, and how often the car asked for more than it can do, a line each."""
-        found = []
-        for what, logs, follows in (
-            ("static tests", self.tests, "their cells have no colour"),
-            ("kamikazes", self.kamikazes, "they count for nothing"),
-        ):
-            if lost := sum(log.outcome == Outcome.ABORTED for log in logs):
-                found.append(f"{lost} of {len(logs)} {what} were aborted, and {follows}")
-        clipped = [log for log in (*self.tests, *self.kamikazes) if log.clipped]
-        if clipped:
-            lows, highs = zip(*(command_limits(log.episode.scenario) for log in clipped), strict=True)
-            found.append(clipped_line([log.clipped for log in clipped], min(lows), max(highs)))
-        return found
+def log_warnings(logs: Sequence[EpisodeLog]) -> list[str]:
+    """Return how many static tests were aborted, and how often the car asked for more than it can do, a line each."""
+    found = []
+    if lost := sum(log.outcome == Outcome.ABORTED for log in logs):
+        found.append(f"{lost} of {len(logs)} static tests were aborted, and their cells have no colour")
+    if clipped := [log for log in logs if log.clipped]:
+        lows, highs = zip(*(command_limits(log.episode.scenario) for log in clipped), strict=True)
+        found.append(clipped_line([log.clipped for log in clipped], min(lows), max(highs)))
+    return found
 
 
-def evaluated_grid(source: str, request: NcapRequest, runner: Workers, progress: Progress, seen: NcapLogs) -> Grid:
-    """Return the cells of a scenario.
+def evaluated_grid(
+    source: str, request: NcapRequest, runner: Workers, progress: Progress
+) -> tuple[Grid, list[EpisodeLog]]:
+    """Return the cells of a scenario, and the logs of their static tests.
 
     Args:
         source: its name, or the path of its file.
-        request: what is asked of each cell.
+        request: what is requested of each cell.
         runner: runs episodes and computes margins; it has been started.
         progress: called with how far the work is.
-        seen: what happens is added to it.
 
     Raises:
         UsageError: there is no such scenario.
@@ -227,32 +197,35 @@ def evaluated_grid(source: str, request: NcapRequest, runner: Workers, progress:
     """
     matrix, tests = requested_tests(source, request.speeds)
     begun = [_begun(source, one, matrix, request) for one in tests]
-    refused, done_tests = "", list[EpisodeLog]()
+    refused, logs = "", list[EpisodeLog]()
     try:
-        done_tests = list(runner.run([episode for _, _, episode in begun if episode is not None]))
+        logs = list(runner.run([episode for _, _, episode in begun if episode is not None]))
     except UsageError as error:  # what a car cannot drive it says when its first episode begins
         refused = str(error)
-    seen.tests += done_tests
-    logs = iter(done_tests)
+    left = iter(logs)
     cells: list[NcapCell] = []
     for done, ((cell, plan, _), one) in enumerate(zip(begun, tests, strict=True), start=1):
         if plan is not None and refused:
             cell = replace(cell, why=refused, margin_why=refused)
         elif plan is not None:
-            cell = _with_margin(_with_test(cell, next(logs), plan, one.point, runner), plan, request, runner, seen)
+            cell = _with_margin(_with_test(cell, next(left), plan, one.point, runner), plan, request, runner)
         cells.append(cell)
         progress(source, done, len(tests))
-    scenario = load_scenario(source)
+    return grid_of(source, load_scenario(source), cells, matrix), logs
+
+
+def grid_of(name: str, scenario: Scenario, cells: Sequence[NcapCell], matrix: ProtocolMatrix | None) -> Grid:
+    """Return the grid of a scenario, which has a section `protocol`."""
     assert scenario.protocol is not None
-    test = "" if matrix is None else matrix.test
-    return Grid(source, " ".join(scenario.description.split()), tuple(cells), test, scenario.protocol.source)
+    description = " ".join(scenario.description.split())
+    return Grid(name, description, tuple(cells), "" if matrix is None else matrix.test, scenario.protocol.source)
 
 
 def _begun(
     source: str, test: NcapTest, matrix: ProtocolMatrix | None, request: NcapRequest
 ) -> tuple[NcapCell, Plan | None, EpisodeSpec | None]:
     """Return an empty cell, its plan and its static test, if there are any."""
-    cell = in_matrix(NcapCell(speed=test.speed, target=test.target, place=test.place, why=test.why), test.point)
+    cell = NcapCell(speed=test.speed, target=test.target, place=test.place, why=test.why).in_matrix(test.point)
     try:
         scenario = scenario_of(source, test, matrix)
         clocked = with_control_period(scenario, request.control_period, request.plan.controller)
@@ -283,53 +256,23 @@ def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
     return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
 
 
-def _with_margin(cell: NcapCell, plan: Plan, request: NcapRequest, runner: Workers, seen: NcapLogs) -> NcapCell:
-    """Return a cell with the margin around its test and, if that was asked for, what planned kamikazes needed."""
+def _with_margin(cell: NcapCell, plan: Plan, request: NcapRequest, runner: Workers) -> NcapCell:
+    """Return a cell with the margin around its test."""
+    if why := why_no_margin(plan, request.margin_limit, whole_episodes=False):
+        return replace(cell, margin_why=why)
     (phi,) = safe_trajectories(plan, runner)
-    logs: list[EpisodeLog] = []
+    episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
     try:
-        if request.planned:
-            sets = kamikaze_sets(plan, [phi], runner)
-            logs = sets[0].in_order
-            seen.kamikazes += logs
-            cell = replace(cell, deviation=objective_result(plan, sets).deviation.mean)
-        if why := why_no_margin(plan, request.margin_limit, whole_episodes=False):
-            return replace(cell, margin_why=why)
-        episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
-        by_id = {log.episode.episode_id: [log] for log in logs}
-        found, search = minimal_deviations(episodes, by_id, runner, lambda *_told: None, request.margin_limit)
-        hits, _ = with_planned_hits(episodes, found, by_id)
+        hits, search = minimal_deviations(episodes, {}, runner, lambda *_progress: None, request.margin_limit)
     except OutOfReachError:
         raise
-    except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
+    except AssessmentError as error:  # a car that fails where the search leads it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
     margins = Margins((tuple(hits),), plan.scenario.eta_max, search)
-    if request.equivalent:
-        cell = _with_equivalent(cell, plan, margins, phi, request, runner)
-    searched = replace(
+    return replace(
         cell,
         margin=margins.mean,
         margins=tuple(margins.values.tolist()),
         beyond=margins.beyond,
         converged=margins.converged,
     )
-    return replace(searched, margin_is=searched.bound)
-
-
-_MULTIPLIERS = (0.5, 0.75, 1.0, 1.25, 1.5)
-
-
-def _basic_margins(plan: Plan, phi: Trajectory, request: NcapRequest, runner: Workers) -> Margins:
-    """Return the margins of a basic car along one φ, found by the same search as the car's."""
-    episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
-    hits, search = minimal_deviations(episodes, {}, runner, lambda *_told: None, request.margin_limit)
-    return Margins((tuple(hits),), plan.scenario.eta_max, search)
-
-
-def _with_equivalent(
-    cell: NcapCell, plan: Plan, margins: Margins, phi: Trajectory, request: NcapRequest, runner: Workers
-) -> NcapCell:
-    """Return a cell with the C of the basic car that has its margin, in the same trials and by the same search."""
-    swept = {one: _basic_margins(yardstick(plan, one), phi, request, runner) for one in _MULTIPLIERS}
-    found = equivalent_multiplier(margins.per_phi, {one: basic.per_phi for one, basic in swept.items()})
-    return replace(cell, equivalent=found.value if math.isfinite(found.value) else None, equivalent_text=found.text)

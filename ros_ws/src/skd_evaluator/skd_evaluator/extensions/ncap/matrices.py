@@ -166,7 +166,7 @@ def _straight_across(criterion: Criterion) -> Iterator[MatrixPoint]:
 
 GREEN, YELLOW, ORANGE, BROWN, RED = COLOURS = ("green", "yellow", "orange", "brown", "red")
 ROOM: Final = 0.5
-"""m, the margin below which a green test stands out, unless something else is asked for."""
+"""m, the margin below which a green test stands out."""
 _BELOW: Final = {  # by test speed, km/h: the relative impact speed (km/h) below which a test that hit has a colour
     10.0: (),
     20.0: (),

@@ -10,10 +10,9 @@ from skd_evaluator.cli.arguments import (
     add_options,
     add_output_arguments,
     add_runner_arguments,
-    real_number,
     steps_of,
 )
-from skd_evaluator.extensions.ncap.matrices import ROOM, known_scenarios
+from skd_evaluator.extensions.ncap.matrices import known_scenarios
 
 SCENARIOS = "cpna,cpfa,cpnco"
 TRIALS = 5
@@ -30,7 +29,11 @@ def add_ncap(commands: Any) -> None:
         "passed with little room stands out. This is not an official rating (docs/ncap.md).",
     )
     tests = ncap.add_argument_group(CAR_GROUP)
-    add_options(tests, "ncap", CAR_GROUP)
+    cars = (
+        "the car under test: basic (the paper's simple car), cal, carla, a name that an installed package has "
+        "registered, or module:Class or file.py:Class of your own (default: basic)"
+    )
+    add_options(tests, "ncap", CAR_GROUP, controller={"help": cars})
     scenarios = tests.add_argument(
         "--scenarios",
         default=SCENARIOS,
@@ -48,25 +51,6 @@ def add_ncap(commands: Any) -> None:
     add_options(margins, "ncap", table=AssessmentOptions)
     trials = f"how many trials there are in each cell, each with draws of its own (default: {TRIALS})"
     add_options(margins, "ncap", "campaign", kamikaze_count={"default": TRIALS, "help": trials})
-    margins.add_argument(
-        "--planned",
-        action="store_true",
-        help="also plan kamikazes in each cell, and print the deviation that they needed behind the margin; this "
-        "takes longer",
-    )
-    margins.add_argument(
-        "--equivalent",
-        action="store_true",
-        help="also search for the margins of basic cars in each cell, and print the C of the one that has the car's "
-        "margin, the equivalent multiplier, behind it; this takes six times as long",
-    )
-    margins.add_argument(
-        "--room",
-        type=real_number(0.0, 100.0),
-        default=ROOM,
-        metavar="M",
-        help="margin below which a green test stands out, m (default: %(default)s)",
-    )
     add_runner_arguments(ncap)
     add_output_arguments(ncap)
     ncap.set_defaults(module="skd_evaluator.extensions.ncap.command")
