@@ -16,8 +16,6 @@ import pytest
 import yaml
 from packaging_support import ROOT, SOURCE, check_command
 
-TUTORIAL = (ROOT / "docs" / "your_controller.md").read_text(encoding="utf-8")
-COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))
 SCRIPTS = ("run-node", "assess-controller", "replay-logs")
 ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3"], "replay-logs": [""]}
 
@@ -102,46 +100,6 @@ def test_links_of_the_documents_lead_somewhere(document):
     # What stands in backquotes and looks like a file of this project is one.
     for name in re.findall(r"`((?:docs|scripts|benchmarks|tests|examples|docker)/[\w./-]+)`", text):
         assert (ROOT / name).exists(), f"{document.name}: {name}"
-
-
-def test_compose_commands_are_those_of_the_tutorial():
-    services = COMPOSE["services"]
-    assert set(services) == {
-        "vehicle_simulator",
-        "adversary",
-        "car_controller",
-        "external_controller",
-        "evaluator",
-    }
-    for name, service in services.items():
-        assert service["image"] == "skd"
-        command = re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", service["command"])
-        check_command(command)
-        first = command.split(" --ros-args")[0]
-        assert first in TUTORIAL, name
-        if name != "external_controller":
-            assert first.split()[-1] == name
-    assert services["vehicle_simulator"]["build"] == {"context": "..", "dockerfile": "docker/Dockerfile"}
-
-
-def test_dockerfile_uses_what_exists():
-    text = (ROOT / "docker" / "Dockerfile").read_text(encoding="utf-8")
-    assert text.count("FROM ros:jazzy-ros-base\n") == 1
-    assert "\nUSER skd\n" in text
-    for path in set(re.findall(r"(?<![\w/.])((?:docker|scripts|ros_ws)(?:/[\w.-]+)*)", text)):
-        assert (ROOT / path).exists(), path
-    for command in ("scripts/skd --version", "colcon build"):
-        assert command in text
-        assert command in TUTORIAL
-    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
-    assert ".venv*" in ignored
-    *first, everything = [line.split()[2:-1] for line in text.splitlines() if line.startswith("COPY ")]
-    assert everything == ["."]
-    copied = [path for paths in first for path in paths]
-    assert "pyproject.toml" in copied
-    assert all((ROOT / path).exists() and path not in ignored for path in copied)
-    # What takes long does not depend on what changes often.
-    assert text.index("skd_environment") < text.index("colcon build") < text.index("COPY --chown=skd:skd . .")
 
 
 # --- scripts
