@@ -17,8 +17,6 @@ setup(
     install_requires=["setuptools", "numpy", "scipy", "numba", "scikit-learn"],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,
-    maintainer="SKD maintainers",
-    maintainer_email="maintainers@skd.example.org",
     description="The adversary of the Safe-Kamikaze Distance",
     license="Apache-2.0",
     entry_points={

@@ -45,8 +45,6 @@ setup(
     ],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,
-    maintainer="SKD maintainers",
-    maintainer_email="maintainers@skd.example.org",
     description="The judge of the Safe-Kamikaze Distance",
     license="Apache-2.0",
     entry_points={
