@@ -149,7 +149,7 @@ def image_folder(empty: Path) -> Iterator[Path]:
         built = folder / "ros_ws" / "install" / "skd_msgs"
         kept = {"opt", "ros_ws"} if built.exists() else set()
         old = [one for one in folder.iterdir() if one.name not in {".lock", *kept}]
-        for one in (*old, *folder.glob("ros_ws/[!bi]*"), *folder.glob("ros_ws/*/skd_[!m]*")):
+        for one in (*old, *folder.glob("ros_ws/[!bi]*"), *folder.glob("ros_ws/[bi]*/skd_[!m]*")):
             shutil.rmtree(one) if one.is_dir() else one.unlink()
         yield folder
 

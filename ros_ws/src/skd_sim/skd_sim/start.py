@@ -12,7 +12,7 @@ import importlib
 import os
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -98,7 +98,7 @@ def _remedy(error: Exception) -> str | None:
         return None
     name = error.name.partition(".")[0]
     if name in PACKAGES:
-        return f"skd needs {name}, which {sys.executable} does not have: {environment()}"
+        return f"skd needs {name}, which {sys.executable} does not have: {environment([name])}"
     if name == "rclpy" or name.endswith(("_msgs", "_interfaces")):
         return (
             f"skd needs {name} of ROS 2, which {sys.executable} does not find: source ROS 2 Jazzy and "
@@ -108,22 +108,21 @@ def _remedy(error: Exception) -> str | None:
 
 
 PACKAGES = (
-    "PIL", "altair", "jinja2", "matplotlib", "mcap", "numba", "numpy", "pydantic", "rich", "rosbags", "scipy",
+    "altair", "jinja2", "matplotlib", "mcap", "numba", "numpy", "pydantic", "rich", "rosbags", "scipy",
     "vl_convert", "yaml",
 )  # fmt: skip
 """Modules of the packages that SKD needs beside ROS 2."""
 
 
-def environment() -> str:
-    """Return the commands that make the project's environment and activate it."""
-    folder = f".venv-{os.environ['ROS_DISTRO']}" if os.environ.get("ROS_DISTRO") else ".venv"
-    return f"cd {_checkout()} && scripts/skd --version && . {folder}/bin/activate"
-
-
-def _checkout() -> str:
-    """Return the folder of scripts/, in or above which the workspace lies, as a word of a shell."""
+def environment(missing: Sequence[str]) -> str:
+    """Return the commands that install packages: as the project's environment, where SKD is in a checkout."""
     above = (folder for folder in Path(__file__).resolve().parents if (folder / "scripts" / "skd").is_file())
-    return next((shlex.quote(str(folder)) for folder in above), "CHECKOUT_OF_SKD")
+    checkout = next((shlex.quote(str(folder)) for folder in above), "")
+    if not checkout:
+        names = (name.replace("vl_convert", "vl-convert-python").replace("yaml", "PyYAML") for name in missing)
+        return f"{shlex.quote(sys.executable)} -m pip install {' '.join(names)}"
+    folder = f".venv-{os.environ['ROS_DISTRO']}" if os.environ.get("ROS_DISTRO") else ".venv"
+    return f"cd {checkout} && scripts/skd --version && . {folder}/bin/activate"
 
 
 def start_named(programs: Mapping[str, Callable[[], int]]) -> int:

@@ -7,12 +7,14 @@ import importlib.util
 import json
 import os
 import platform
+import re
+import shlex
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError
+from importlib.metadata import PackageNotFoundError, requires
 from importlib.metadata import version as version_of
 from typing import Any
 
@@ -23,7 +25,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.version import version
 
 FINE, ABSENT, BROKEN = "fine", "absent", "broken"
-_DISTRIBUTIONS = {"PIL": "pillow", "yaml": "pyyaml", "vl_convert": "vl-convert-python"}
+_DISTRIBUTIONS = {"yaml": "pyyaml", "vl_convert": "vl-convert-python"}
 _TOOLS = {
     "git": "the commit of a car's code in results",
     "ffmpeg": "films as mp4 (skd show --format mp4)",
@@ -86,15 +88,25 @@ def findings(*, round_trip: bool = True) -> Iterator[Finding]:
         if importlib.util.find_spec(module) is not None:
             yield Finding(module, FINE, f"installed; {use}")
         else:
-            yield Finding(module, ABSENT, f"not installed; for {use}", f"python -m pip install 'skd[{extra}]'")
+            yield Finding(module, ABSENT, f"not installed; for {use}", _installing(extra))
     yield from _ros(round_trip=round_trip)
 
 
 def _packages() -> Finding:
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
-        return Finding("packages", BROKEN, f"{', '.join(missing)} cannot be imported", environment())
+        return Finding("packages", BROKEN, f"{', '.join(missing)} cannot be imported", environment(missing))
     return Finding("packages", FINE, ", ".join(f"{name} {_version(name)}" for name in PACKAGES))
+
+
+def _installing(extra: str) -> str:
+    """Return the command that installs what an extra of SKD asks for; empty where its metadata are not installed."""
+    try:
+        asked = [text.partition(";") for text in requires("skd") or ()]
+    except PackageNotFoundError:
+        return ""
+    found = [shlex.quote(name.strip()) for name, _, when in asked if re.search(rf"extra == .{extra}\b", when)]
+    return f"{shlex.quote(sys.executable)} -m pip install {' '.join(found)}"
 
 
 def _version(module: str) -> str:
@@ -127,9 +139,10 @@ def _ros(*, round_trip: bool, ask: Callable[[], dict[str, Any]] | None = None) -
         return
     answer = (ask or _asked)()
     if "error" in answer:
-        yield Finding(
-            "ROS 2", BROKEN, f"{source}; its nodes do not start ({answer['error']})", _remedy(sourced=sourced)
-        )
+        remedy = "cd ros_ws && colcon build && . install/setup.bash"
+        if not sourced:
+            remedy = f"remove {sys.prefix}, and install SKD anew"
+        yield Finding("ROS 2", BROKEN, f"{source}; its nodes do not start ({answer['error']})", remedy)
         return
     yield Finding("ROS 2", FINE, f"{source}, with {answer['middleware']}")
     packages = answer["packages"]
@@ -145,10 +158,6 @@ def _ros(*, round_trip: bool, ask: Callable[[], dict[str, Any]] | None = None) -
         yield Finding("round trip", BROKEN, text, "is multicast on lo allowed, and /dev/shm not full?")
     else:
         yield Finding("round trip", FINE, f"a message between two nodes came after {seconds:.2f} s")
-
-
-def _remedy(*, sourced: bool) -> str:
-    return "cd ros_ws && colcon build && . install/setup.bash" if sourced else "remove .venv, and begin anew"
 
 
 def _asked() -> dict[str, Any]:

@@ -255,7 +255,9 @@ def _name(value: Any) -> str | None:
 
 
 if tuple(map(int, numba.__version__.split(".")[:2])) < (0, 61):  # as Ubuntu's python3-numba may be
-    raise UsageError(f"skd needs numba 0.61 or newer, and {sys.executable} has {numba.__version__}: {environment()}")
+    raise UsageError(
+        f"skd needs numba 0.61 or newer, and {sys.executable} has {numba.__version__}: {environment(['numba'])}"
+    )
 
 CompilationError = NumbaError
 """What a kernel raises whose code or arguments cannot be compiled."""
