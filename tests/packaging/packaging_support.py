@@ -71,7 +71,8 @@ def check_command(line: str) -> None:
         assert words[3] in executables(words[2])
         check_parameters(words[3], words[4:])
     elif words[0] == "scripts/run-node":
-        check_parameters(words[1], words[2:])
+        if words[1] != "--":
+            check_parameters(words[1], words[2:])
     elif words[:2] == ["ros2", "launch"] and words[2].startswith("skd_"):
         assert (SOURCE / words[2] / "launch" / words[3]).is_file()
         source = (SOURCE / words[2] / "launch" / words[3]).read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ import yaml
 from packaging_support import ROOT, SOURCE, check_command
 
 SCRIPTS = ("run-node", "assess-controller", "replay-logs")
-ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3"], "replay-logs": [""]}
+ERRORS = {"run-node": ["", "juggler", "--"], "assess-controller": ["", "--seed 3"], "replay-logs": [""]}
 
 
 def topics() -> set[str]:
@@ -147,3 +147,11 @@ def test_words_of_a_controller_command_survive(tmp_path):
     done = run_script("assess-controller", *few, "--", str(script), "a b", "it's", cwd=tmp_path)
     assert done.returncode == 1
     assert said.read_text() == "a b|it's|"
+
+
+@needs_bash
+def test_a_node_of_yours_finds_ros_and_the_messages(tmp_path):
+    """With no ROS 2 sourced, and by the name that its first line has; its exit code is that of the script."""
+    (tmp_path / "my_node.py").write_text("import sys, rclpy, skd_msgs.msg\nprint(sys.argv[1:])\nsys.exit(3)\n")
+    done = run_script("run-node", "--", "python3", "my_node.py", "--ros-args", "-p", "a:=b c", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (3, "['--ros-args', '-p', 'a:=b c']\n"), done.stderr

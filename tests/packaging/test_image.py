@@ -5,6 +5,7 @@ Against the environment's own ROS 2, or against one that is sourced.
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import json
 import re
@@ -21,7 +22,7 @@ import pytest
 import yaml
 from common import PATIENCE, new_domain
 from image_support import BIN, DOCKERFILE, Image, build_image, context, image_folder, signal_group, value
-from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, check_command
+from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command
 from skd_evaluator.bags.read import read_episodes
 from skd_sim.ros_environment import ensure_ros
 
@@ -193,3 +194,24 @@ def test_launch_runs_an_episode(image, straight, tmp_path):
     done = image.run("ros2", "launch", "skd_evaluator", "episode.launch.py", *arguments)
     assert done.returncode == 0, done.stdout
     assert (tmp_path / "out" / "episode.json").is_file()
+
+
+EXAMPLE = ROOT / "examples" / "launch_test" / "test_safety.py"
+
+
+@needs_launch
+@needs_compiler
+def test_the_example_of_a_launch_test_passes(image):
+    done = image.run("python3", "-m", "launch_testing.launch_test", EXAMPLE)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_example_of_a_launch_test_uses_what_there_is():
+    """By its syntax: here there may be no `launch`."""
+    module = SOURCE / "skd_evaluator" / "skd_evaluator" / "ros" / "launch_testing.py"
+    defined = {one.name for one in ast.parse(module.read_text()).body if isinstance(one, ast.FunctionDef)}
+    (ours,) = [
+        node for node in ast.walk(ast.parse(EXAMPLE.read_text()))
+        if isinstance(node, ast.ImportFrom) and node.module == "skd_evaluator.ros.launch_testing"
+    ]  # fmt: skip
+    assert {name.name for name in ours.names} == defined

@@ -17,7 +17,7 @@ OWN = {
     "episode": {"mode", "trial"},
     "assessment": {"safe_count", "kamikaze_count", "collision_runs", "maximum_distance"},
 }
-STEERING = {"use_builtin_controller", "params_file", "rviz"}
+STEERING = {"use_builtin_controller", "params_file", "rviz", "end_launch"}
 
 
 class Action:

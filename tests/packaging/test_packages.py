@@ -21,28 +21,14 @@ from skd_sim.options.options import SimulatorOptions
 from skd_sim.ros.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
-ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}
-ROSDEP |= {"pydantic": "python3-pydantic", "pydantic_core": "python3-pydantic", "sklearn": "python3-sklearn"}
-ROSDEP |= {"llvmlite": "python3-numba"}  # which is made of it
-ROSDEP |= {"PIL": "python3-pil", "jinja2": "python3-jinja2", "jsonschema": "python3-jsonschema"}
-ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
-NOT_IN_ROSDEP = {
-    "altair",
-    "lz4",
-    "mcap",
-    "rosbags",
-    "vl_convert",
-    "zstandard",
-}  # no key that `rosdep install` can follow, see docs/dependencies.md
+ROSDEP = {name: f"python3-{name}" for name in ("jinja2", "jsonschema", "matplotlib", "numba", "numpy", "pydantic")}
+ROSDEP |= {name: f"python3-{name}" for name in ("pytest", "rich", "scipy", "sklearn", "yaml")}
+ROSDEP |= {"llvmlite": "python3-numba", "pydantic_core": "python3-pydantic"}  # which are made of them
+ROSDEP |= {"mcap": "mcap-ros2-support", "rosbags": "python3-rosbags-pip"}  # the first asks for it
+NOT_IN_ROSDEP = {"altair", "vl_convert"}  # no key, see docs/dependencies.md
 OF_EXTRAS = {"metadrive", "panda3d"}  # asked for where they are used, with a line that says how to install them
 DISTRIBUTIONS = {"pydantic_core": "pydantic", "vl_convert": "vl-convert-python"}  # not called as their modules
-NOT_IMPORTED = {
-    "ackermann_msgs",
-    "python3-pytest",
-    "ros2launch",
-    "rviz2",
-    "std_msgs",
-}  # std_msgs: headers inside of other messages
+NOT_IMPORTED = {"ackermann_msgs", "python3-pytest", "ros2launch", "rviz2", "std_msgs"}  # the last: headers of messages
 
 
 def imported(package: str) -> set[str]:
@@ -67,6 +53,7 @@ def test_package_xml_is_valid(package):
     assert warnings == []
     assert manifest.name == package
     assert manifest.licenses == ["Apache-2.0"]
+    assert (SOURCE / package / "README.md").is_file()
     build_type = "ament_cmake" if package == "skd_msgs" else "ament_python"
     assert [export.content for export in manifest.exports if export.tagname == "build_type"] == [build_type]
 

@@ -13,12 +13,9 @@ import operator
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
-
-if TYPE_CHECKING:
-    from skd_evaluator.assessment.assessment import Assessment
 
 _OUT = "--skd-out"
 
@@ -110,9 +107,9 @@ class Assessed:
         folder: folder with all of it.
     """
 
-    def __init__(self, assessment: Assessment, folder: Path) -> None:
-        """Take an assessment, which is written already."""
-        self.figures: dict[str, Any] = assessment.as_dict()
+    def __init__(self, figures: dict[str, Any], folder: Path) -> None:
+        """Take the figures of an assessment, which is written already."""
+        self.figures = figures
         self.folder = folder
 
     def __getattr__(self, name: str) -> Any:
@@ -176,7 +173,7 @@ class Skd:
         if key not in self._kept:
             folder = self._out / f"{len(self._kept)}"
             assessment = assess(controller, out=folder, **options)
-            self._kept[key] = Assessed(assessment, folder)
+            self._kept[key] = Assessed(assessment.as_dict(), folder)
             lines = not_credible(self._kept[key].figures.get("warnings") or ())
             self._failed[key] = "; ".join([*lines, *filter(None, [undefined(assessment)])])
         if why := self._failed[key]:

@@ -74,6 +74,9 @@ COMMON = (
         "params_file", "", "YAML file with parameters of any of the nodes; they win over the other arguments", nodes=()
     ),
     Argument("rviz", False, "show the crossing in RViz", nodes=()),
+    Argument(
+        "end_launch", True, "the launch ends with the evaluator, and fails with it or with another node", nodes=()
+    ),
 )
 
 
@@ -125,9 +128,10 @@ def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> 
     others = [node("skd_sim", SIMULATOR), node("skd_adversary", "adversary")]
     if builtin:
         others.append(node("skd_sim", "car_controller"))
-    ends = [RegisterEventHandler(OnProcessExit(target_action=evaluator, on_exit=_on_evaluator_exit))]
-    ends += [RegisterEventHandler(OnProcessExit(target_action=other, on_exit=_on_other_exit)) for other in others]
-    started: list[Any] = [*ends, *others, evaluator]
+    started: list[Any] = [*others, evaluator]
+    if values["end_launch"]:
+        ends = {evaluator: _on_evaluator_exit, **dict.fromkeys(others, _on_other_exit)}
+        started[:0] = [RegisterEventHandler(OnProcessExit(target_action=one, on_exit=end)) for one, end in ends.items()]
     if values["rviz"]:
         view = str(Path(get_package_share_directory("skd_evaluator"), "rviz", "skd.rviz"))
         started.append(Node(package="rviz2", executable="rviz2", arguments=["-d", view], output="screen"))
