@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.episode_figures import command_age
+from skd_evaluator.assessment.episode_figures import command_age, missed_periods
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.timing import Timing
@@ -32,3 +32,12 @@ def test_figures_are_of_all_control_periods_that_count() -> None:
         "greatest_delay": 0.03,
     }
     assert command_age([log(Timing())]) is None
+
+
+@pytest.mark.parametrize(("held", "said"), [(5, ""), (6, "in 6 of 100"), (25, "in 25"), (26, "not credible: in 26")])
+def test_a_stack_that_misses_its_periods_is_not_passed_over(held: int, said: str) -> None:
+    """More than 5 % are warned of, more than 25 % are a failure."""
+    logs = [log(Timing((0.01,) * 50, held - held // 3)), log(Timing((0.01,) * 50, held // 3)), log(Timing())]
+    lines = missed_periods("external", logs)
+    assert bool(lines) == bool(said)
+    assert all(line.startswith(said) for line in lines)

@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from skd_evaluator.assessment.plan import Stage, episode_id
-from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, aborted
+from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted
 from skd_evaluator.ros.recording import BagRecorder
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.ros.commands import message_class
@@ -31,8 +31,11 @@ COMMAND = message_class("geometry_msgs/msg/TwistStamped")
 class Names:
     """A node as far as a recorder asks it: for names, and for subscriptions on which nothing comes."""
 
-    def resolve_topic_name(self, topic: str) -> str:
-        return f"/{topic.lstrip('/')}"
+    def get_name(self) -> str:
+        return "names"
+
+    def get_namespace(self) -> str:
+        return "/"
 
     def create_subscription(self, *_: Any, **__: Any) -> None:
         return None
@@ -90,6 +93,7 @@ def test_an_episode_that_is_run_again_has_one_bag(tmp_path: Path) -> None:
     assert not recorder.takes(way)
     log = aborted(episode, "no reason")
     recorder.begin(EpisodeKey("test", episode.episode_id, START), START)
-    recorder.write(EpisodeMsg(), log, EpisodeEnd(Outcome.ABORTED, 0, math.nan, math.nan, ""), START, unsaid=False)
+    ending = EpisodeEnd(Outcome.ABORTED, 0, math.nan, math.nan, "")
+    recorder.write(EpisodeMsg(), log, Samples(), ending, START, unsaid=False)
     assert len(list(tmp_path.iterdir())) == 1
     assert not recorder.takes(episode)

@@ -16,6 +16,7 @@ import pytest
 import rclpy
 from bag_tools import read_items
 from common import new_domain, wait_until
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import AccelStamped, TwistStamped
 from graph_support import assert_same_log, pids_with, whole_graph
 from nav_msgs.msg import Odometry
@@ -223,6 +224,28 @@ def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: EpisodeSp
         for topic in left:  # which topic is first is chance; tick 0 may be repeated
             assert answers(left, topic) == answers(right, topic), topic
     assert {topic.lstrip("/") for topic in composed.heard} == {topic.lstrip("/") for topic in HEARD}
+
+
+def test_diagnostics_say_how_the_campaign_goes(graph: Graph, episode: EpisodeSpec) -> None:
+    heard: list[DiagnosticArray] = []
+    with somebody(graph.domain) as node:
+        node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+
+        def some() -> list[DiagnosticArray]:
+            number = episode.episode_id + next(IDS)
+            graph.evaluator.run_episode(dataclasses.replace(episode, episode_id=number))
+            executor.spin_once(timeout_sec=0.2)
+            return heard
+
+        car, running = wait_until(some, "/diagnostics")[0].status
+        executor.shutdown()
+    assert (car.name, car.level, car.message) == ("skd: car controller", DiagnosticStatus.OK, "answers")
+    values = {one.key: one.value for one in running.values}
+    assert values["mode"] == "kamikaze"
+    assert values["aborted episodes"] == "0"
+    assert int(values["episode"]) > episode.episode_id
 
 
 def test_somebody_else_who_speaks(graph: Graph, episode: EpisodeSpec) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import signal
 import sys
@@ -12,7 +13,10 @@ from pathlib import Path
 import pytest
 from common import new_domain, wait_until
 from graph_support import Program, assert_same_results, skd
+from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
+from skd_sim.options.adversary import Knowledge
 
 MODULES = {
     "vehicle_simulator": "skd_sim.ros.simulator_node",
@@ -25,10 +29,10 @@ MODULES = {
 PATHS = str(Path(__file__).parent / "controllers")
 
 
-def node(name: str, domain: int, **parameters: object) -> Program:
-    """Start one node with parameters."""
+def node(name: str, domain: int, *words: str, **parameters: object) -> Program:
+    """Start one node with further words of its command line, and parameters."""
     arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
-    command = [sys.executable, "-m", MODULES[name], "--ros-args", *arguments]
+    command = [sys.executable, "-m", MODULES[name], "--ros-args", *words, *arguments]
     return Program(command, {"ROS_DOMAIN_ID": str(domain), "PYTHONPATH": PATHS})
 
 
@@ -70,6 +74,45 @@ def test_a_car_that_is_not_repeatable_is_not_credible(tmp_path: Path, graph: int
     assert any(line in printed for printed in finished.lines)
     trials = sum(one["trials"] for one in result["objectives"].values())
     assert len(list((tmp_path / "out" / "bags").iterdir())) == trials + 12  # no drive alone, none that is run again
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        (),
+        ("-r", "__ns:=/lab"),
+        ("-r", "ego/odometry:=/robot/odom", "-r", "ego/acceleration_command:=/robot/brake", "-r", "__node:=mine"),
+    ],
+    ids=["plain", "namespace", "remapped"],
+)
+def test_an_episode_by_hand_is_one_bag_that_replays(tmp_path: Path, names: tuple[str, ...]) -> None:
+    """Of a car of which nothing is known: no lesson comes before it, and no other names of topics hide its states."""
+    domain = new_domain()
+    car = {"car_controller": {"controller": "basic", "multiplier": 1.0}}
+    programs = [node(name, domain, *names, **car.get(name, {})) for name in MODULES if name != "evaluator"]
+    wanted = {"task": "episode", "controller": "external", "simulations": 50, "out": tmp_path / "out"}
+    try:
+        finished = node("evaluator", domain, *names, **wanted).finish()
+        assert finished.code == 0, finished.err
+    finally:
+        for program in programs:
+            program.popen.send_signal(signal.SIGINT)
+    assert [program.finish().code for program in programs] == [0, 0, 0]
+    (bag,) = (tmp_path / "out" / "bags").iterdir()
+    (read,) = read_episodes([bag])
+    assert read.log.episode.knowledge == Knowledge.NOTHING
+    episode = json.loads((tmp_path / "out" / "episode.json").read_text())
+    assert (read.log.outcome.name.lower(), len(read.log.car) - 1) == (episode["outcome"], episode["ticks"])
+    replayed = run_episode(dataclasses.replace(read.log.episode, controller="basic", multiplier=1.0))
+    assert replayed.car.tobytes() == read.log.car.tobytes()
+    assert replayed.adversary.tobytes() == read.log.adversary.tobytes()
+
+
+def test_an_episode_by_hand_learns_no_car(tmp_path: Path) -> None:
+    parameters = {"task": "episode", "controller": "external", "knowledge": "learned", "out": tmp_path / "out"}
+    finished = node("evaluator", new_domain(), **parameters).finish()
+    assert finished.code == 2
+    assert "name a model with car_model" in finished.err
 
 
 def test_interrupted_leaves_nothing(tmp_path: Path):

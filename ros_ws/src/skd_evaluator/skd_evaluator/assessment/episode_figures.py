@@ -251,3 +251,22 @@ def _stands_far_off(log: EpisodeLog) -> bool:
     for other, state in zip(scenario.others, scenario.others_at(tick), strict=True):
         away.append(math.hypot(state.x - x, state.y - y) - other.reach)
     return min(away) - scenario.car.front > _far(scenario)
+
+
+MISSED, MOST_MISSED = 0.05, 0.25
+"""Shares of the control periods without a new command of the car, above which that is warned of, and a failure."""
+
+
+def missed_periods(controller: str, logs: Iterable[EpisodeLog]) -> tuple[str, ...]:
+    """Return in a line that a stack missed many of its control periods; empty if it did not."""
+    age = command_age(logs)
+    share = age["held"] / age["control_periods"] if age else 0.0
+    if age is None or share <= MISSED:
+        return ()
+    begin = NOT_CREDIBLE if share > MOST_MISSED else ""
+    return (
+        f"{begin}in {age['held']} of {age['control_periods']} control periods ({100 * share:.0f} %) "
+        f"{controller} sent no new command, and its last one was held: it is slower than its control "
+        "period, or silent; let it publish always, or try a longer -p control_period, a lower -p rate_factor, or "
+        "--pacing lockstep",
+    )

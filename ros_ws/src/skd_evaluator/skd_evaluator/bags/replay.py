@@ -12,7 +12,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
-from skd_evaluator.assessment.episode_figures import standing
+from skd_evaluator.assessment.episode_figures import missed_periods, standing
 from skd_evaluator.assessment.objective_result import KamikazeSet, kamikaze_set
 from skd_evaluator.assessment.options import RECORDED
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, Stage, follows_other_trajectory, split_episode_id
@@ -136,7 +136,7 @@ def assessment_from_logs(
     assessment = replace(
         assessment_of(plan, [group.safe_trajectory for group in ordered], sets, replays), seconds=seconds
     )
-    stands = standing(plan.controller, replays)
+    stands = (*standing(plan.controller, replays), *missed_periods(plan.controller, assessment.logs))
     lost = aborted_lines(assessment.as_dict()) if assessment.reasons else []
     if damage is None:
         return replace(assessment, warnings=(*lost, *stands))

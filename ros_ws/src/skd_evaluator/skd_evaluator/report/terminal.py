@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 from skd_sim.inputs.files import one_line
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, shown_in
 from skd_evaluator.bags.checks import Damage
@@ -120,6 +120,15 @@ def headline_table(result: Mapping[str, Any]) -> Table:
             label = f"  {label}"
             value = f"[red]{value}[/]" if result["optimality_gap"] > GAP_WARNING else value
         table.add_row(label, value, escape(by_phi))
+    age = result.get("command_age")
+    if age and car_name(result) == EXTERNAL:
+        worst = f"99 %: {1e3 * age['p99']:.1f}, worst: {1e3 * age['worst']:.1f}"
+        table.add_row("age of the commands (ms), median", f"{1e3 * age['median']:.1f}", worst)
+        if age["held"]:
+            missed = f"{age['held']} of {age['control_periods']}"
+            table.add_row(
+                "control periods without a new command", _percent(age["held"] / age["control_periods"]), missed
+            )
     aborted = sum(reasons["count"] for reasons in result["aborted_reasons"].values())
     if aborted:
         table.add_row("[red]aborted episodes[/]", str(aborted), "--details says why")
@@ -156,15 +165,10 @@ def details_table(result: Mapping[str, Any]) -> Table:
     ]
     for kind, reasons in result["aborted_reasons"].items():
         rows.append([f"[red]aborted episodes: {kind}[/]", str(reasons["count"])])
-    clipped, age = result["commands_clipped"], result.get("command_age")
+    clipped = result["commands_clipped"]
     if clipped["commands"]:
         episodes = f" in {counted(clipped['episodes'], 'episode')}"
         rows.append(["[red]commands beyond what the car can do[/]", str(clipped["commands"]), "", "", episodes])
-    if age and age["greatest_delay"]:  # of real time; in lockstep nobody waits for the clock
-        worst = f" 99 %: {1e3 * age['p99']:.1f}, worst: {1e3 * age['worst']:.1f}"
-        rows.append(["age of the commands, ms: median", f"{1e3 * age['median']:.1f}", "", "", worst])
-        periods = f" of {age['control_periods']}"
-        rows.append(["control periods without a new command", str(age["held"]), "", "", periods])
     if result["left_out"]:
         rows.append(["[red]left out as damaged[/]", str(len(result["left_out"]))])
     for one in result["measures"].values():

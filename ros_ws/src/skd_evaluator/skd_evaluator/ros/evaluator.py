@@ -65,8 +65,8 @@ from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes
-from skd_evaluator.ros.recording import SETTLE, BagRecorder
-from skd_evaluator.ros.stack import FirstCommands
+from skd_evaluator.ros.recording import SETTLE, BagRecorder, recorded_name
+from skd_evaluator.ros.stack import FirstCommands, Health
 from skd_evaluator.ros.visualization import LiveFigures, episode_markers
 
 _FIGURES = ("double", "double[2]", "boolean")
@@ -227,7 +227,7 @@ class Evaluator(GraphNode):
         self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
-        self._figures = LiveFigures(self)
+        self._figures, self._health = LiveFigures(self), Health(self)
         self._composed: Composed | None = None
         if composed is not None:
             self._composed = Composed(self, composed, self._on_frame, self._on_result)
@@ -287,14 +287,13 @@ class Evaluator(GraphNode):
             self._listen(EPISODE_RESULT, EpisodeResult, self._on_result)
         if record_to is not None:
             self._listen(CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
-            self._listen(self._drive_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
-            self._listen(walk_topic, TwistStamped)
+            self._listen(commands.command_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
+            self._listen(VELOCITY_COMMAND, TwistStamped)
             self._listen(TF, TFMessage, stamp=_stamp_of_transforms)
             self._listen(COMMAND, AccelStamped)
             settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
-            self._recorder = BagRecorder(
-                self, record_to, self._drive_topic, walk_topic, own_world=own_world, patience=settle, say=say
-            )
+            drive, walk = (recorded_name(self, one) for one in (commands.command_topic, VELOCITY_COMMAND))
+            self._recorder = BagRecorder(self, record_to, drive, walk, own_world=own_world, patience=settle, say=say)
 
     def _warn(self, line: str) -> None:
         self.get_logger().warning(line)
@@ -312,7 +311,7 @@ class Evaluator(GraphNode):
         stamp: Callable[[Any], int] = lambda message: from_stamp(message.header.stamp),
     ) -> None:
         """Subscribe to the bytes of a topic: they are recorded as they came."""
-        name = self.resolve_topic_name(topic)
+        name = recorded_name(self, topic)
 
         def on_bytes(data: bytes) -> None:
             if topic != TF:  # a stack sends transforms too, whether or not the simulator goes on
@@ -373,7 +372,7 @@ class Evaluator(GraphNode):
                 self._result = result, from_stamp(message.header.stamp)
                 self._ended = time.monotonic()
                 if self._composed is not None and self._recorder is not None:
-                    name, data = self.resolve_topic_name(EPISODE_RESULT), serialize_message(message)
+                    name, data = recorded_name(self, EPISODE_RESULT), serialize_message(message)
                     self._recorder.keep(name, EpisodeResult, self._result[1], data)
 
     def give_up(self, reason: str) -> None:
@@ -441,6 +440,7 @@ class Evaluator(GraphNode):
         log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
         if recorder is not None:
             recorder.write(specification, log, self._samples, result, end, unsaid=self._result is None)
+        self._health.publish([log.reason] if log.reason else [], self._facts(episode))
         if kind_of(log.reason) == AbortKind.NO_ANSWER:
             self._after_silence(log.reason)
         return log
@@ -519,6 +519,7 @@ class Evaluator(GraphNode):
                 self._first_commands.look(state_came=bool(self._samples.car))
                 if self._composed is None and now - self._published > _REPEAT:
                     self._announce(episode, specification)
+            self._health.publish(self._first_commands.reasons, self._facts(episode))
             problem = self._look_after_processes()
             self._require_alone()
             if problem is None and self._result is not None and now - max(self._heard, self._ended) > _LOST:
@@ -532,6 +533,16 @@ class Evaluator(GraphNode):
                     self._spin(SETTLE)
                 self._result = None
                 return problem
+
+    def _facts(self, episode: EpisodeSpec) -> dict[str, object]:
+        """Return what /diagnostics says of the campaign and its episode."""
+        return {
+            "campaign": self._campaign,
+            "episode": episode.episode_id,
+            "mode": episode.mode.name.lower(),
+            "states of the car": len(self._samples.car),
+            "aborted episodes": len(self.failures.reasons),
+        }
 
     def _require_alone(self) -> None:
         """Refuse a graph with a second evaluator or simulator: nobody could say whose episode it runs.

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -20,6 +21,7 @@ from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
     CLEARANCE,
     CLOCK,
+    COMMAND,
     DEVIATION,
     EGO_ODOMETRY,
     EPISODE,
@@ -45,6 +47,11 @@ SETTLE = 0.05
 _STATES = 2.0  # s in which all states come that this process has published itself
 _LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """As tf2 listens: each of several nodes may have latched transforms of its own."""
+
+
+def recorded_name(node: Node, topic: str) -> str:
+    """Return the name of a topic in a bag: in the node's namespace, but not remapped, so that any bag is read alike."""
+    return str(expand_topic_name(topic, node.get_name(), node.get_namespace()))
 
 
 def bag_name(episode: EpisodeSpec) -> str:
@@ -76,8 +83,8 @@ class BagRecorder:
         Args:
             node: node that listens to the topics.
             folder: folder for the bags.
-            drive_topic: topic of the car's commands, resolved.
-            walk_topic: topic of the adversary's commands, resolved.
+            drive_topic: topic of the car's commands, as it is recorded.
+            walk_topic: topic of the adversary's commands, as it is recorded.
             own_world: whether the simulator is SKD's own, and so publishes transforms.
             patience: how long to wait, after a result, for the commands of all ticks, wall seconds.
             say: called with a line about a recording that lacks something.
@@ -122,7 +129,7 @@ class BagRecorder:
         """Keep a message, unless it is of an earlier episode.
 
         Args:
-            topic: topic that the message came on, resolved.
+            topic: topic that the message came on, as it is recorded.
             kind: type of the message.
             stamp: time stamp of the message, ns; 0 where it has none.
             data: the message's bytes as they came.
@@ -159,9 +166,12 @@ class BagRecorder:
             for period in range(1, periods)
         }
         wanted = {CLOCK: states | between, self._walk_topic: commands, self._drive_topic: commands | between}
+        answers = [self._drive_topic]
         if self._own_world:  # another simulator need not publish any
-            wanted[TF] = states | between
-        odometry, of_adversary = map(self._node.resolve_topic_name, (EGO_ODOMETRY, ADVERSARY_ODOMETRY))
+            applied = recorded_name(self._node, COMMAND)
+            answers.append(applied)
+            wanted |= {TF: states | between, applied: commands | between}
+        odometry, of_adversary = (recorded_name(self._node, one) for one in (EGO_ODOMETRY, ADVERSARY_ODOMETRY))
         of_states = {odometry: states, of_adversary: states}
         last = range(tick_stamp(start, result.ticks - 1, step) + 1, tick_stamp(start, result.ticks, step))
         heard: dict[str, set[int]] = {topic: set() for topic in (*wanted, *of_states)}
@@ -172,7 +182,8 @@ class BagRecorder:
                     heard[message.topic].add(message.stamp)
             checked = len(self._messages)
             # A state within the last tick was followed by another one, so the car has answered it.
-            wanted[self._drive_topic].update(stamp for stamp in heard[odometry] if stamp in last)
+            for topic in answers:
+                wanted[topic].update(stamp for stamp in heard[odometry] if stamp in last)
             whole = all(stamps <= heard[topic] for topic, stamps in of_states.items())
             if whole and all(stamps <= heard[topic] for topic, stamps in wanted.items()):
                 return
@@ -207,7 +218,7 @@ class BagRecorder:
         name = bag_name(log.episode)
         self._written.add(name)
         start = self._key.start
-        figures = {topic: self._node.resolve_topic_name(topic) for topic in (CLEARANCE, DEVIATION)}
+        figures = {topic: recorded_name(self._node, topic) for topic in (CLEARANCE, DEVIATION)}
         latched = [self._own(EPISODE, specification, start, latched=True)]
         if self._fixed:
             fixed = TFMessage(transforms=list(self._fixed.values()))
@@ -229,7 +240,7 @@ class BagRecorder:
 
     def _own(self, topic: str, message: Any, stamp: int, *, latched: bool = False) -> RecordedMessage:
         data = serialize_message(message)
-        return RecordedMessage(self._node.resolve_topic_name(topic), type(message), stamp, data, latched=latched)
+        return RecordedMessage(recorded_name(self._node, topic), type(message), stamp, data, latched=latched)
 
     def _markers(self, episode: EpisodeSpec, samples: Samples) -> list[RecordedMessage]:
         start = self._key.start

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
@@ -24,7 +25,7 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from skd_sim.ros.diagnosis import Awaited, Evidence, Heard, class_of, diagnose
 from skd_sim.ros.discovery import living_publishers
-from skd_sim.ros.support import EGO_ODOMETRY
+from skd_sim.ros.support import DIAGNOSTICS, EGO_ODOMETRY
 from skd_sim.world.episode import AbortKind, abort_reason
 
 from skd_evaluator.errors import AssessmentError
@@ -294,3 +295,34 @@ class FirstCommands:
         if topic not in self._heard and message is not None:
             heard = self._heard[topic] = Heard()
             heard.subscription = self._node.create_subscription(message, topic, heard.take, _ANY)
+
+
+class Health:
+    """Publishes /diagnostics: the car controller and the episode, once a second where somebody listens."""
+
+    def __init__(self, node: Node) -> None:
+        """Make the topic; `node` publishes on it."""
+        self._node, self._latest = node, 0.0
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+
+    def publish(self, reasons: Sequence[str], values: Mapping[str, object]) -> None:
+        """Publish, unless it is less than a second ago.
+
+        Args:
+            reasons: why commands do not come, a line each.
+            values: what is known of the campaign and its episode.
+        """
+        now = time.monotonic()
+        if now - self._latest < _LOOK_EVERY or not self._publisher.get_subscription_count():
+            return
+        self._latest = now
+        level, said = (DiagnosticStatus.WARN, "; ".join(reasons)) if reasons else (DiagnosticStatus.OK, "answers")
+        facts = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        message = DiagnosticArray(
+            status=[
+                DiagnosticStatus(level=level, name="skd: car controller", message=said, hardware_id="skd"),
+                DiagnosticStatus(name="skd: episode", message="runs", hardware_id="skd", values=facts),
+            ]
+        )
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)

@@ -43,6 +43,7 @@ MARKERS = "skd/markers"
 CLEARANCE = "skd/clearance"
 DEVIATION = "skd/deviation"
 COMMAND = "skd/command"
+DIAGNOSTICS = "/diagnostics"
 BELIEVED_CAR = "skd/believed_car"
 
 STREAM = QoSProfile(depth=4000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)

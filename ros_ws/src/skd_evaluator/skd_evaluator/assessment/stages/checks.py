@@ -32,7 +32,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner
-from skd_evaluator.assessment.episode_figures import DRIVES_NOT, standing
+from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods, standing
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -55,7 +55,8 @@ _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
 
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with warnings: episodes that were aborted, and a user's car that hardly drives."""
-    plan, lines = assessment.plan, list(aborted_lines(assessment))
+    plan = assessment.plan
+    lines = [*aborted_lines(assessment), *missed_periods(plan.controller, assessment.logs)]
     if not plan.car.is_own:
         lines += standing(plan.controller, assessment.nominal_runs)
         if is_own_world(plan.simulator) and len(assessment.reasons) < assessment.episodes:

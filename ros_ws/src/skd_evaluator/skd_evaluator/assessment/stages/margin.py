@@ -27,8 +27,8 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin, search_least
-from skd_evaluator.margin.search.rounds import by_episodes, in_processes, one_by_one, repeated
-from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, search_margins
+from skd_evaluator.margin.search.rounds import by_episodes, confirmed, in_processes, one_by_one, repeated
+from skd_evaluator.margin.search.search import HELD_COMMANDS, IN_PROCESS, WHOLE_EPISODES, Effort, search_margins
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit, hit_of
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
@@ -39,6 +39,8 @@ LABEL = "margins"
 _ROUNDING = 1e-6  # m
 WHOLE_EPISODE_TRIALS = 5
 """Trials on each φ whose margin is searched by whole episodes."""
+HELD_COMMANDS_TRIALS = 1
+"""The same where the car does not answer each state, as in real time."""
 NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
 NOT_REQUESTED = "--margin-limit 0: the margin was not requested"
 
@@ -64,9 +66,7 @@ def why_no_margin(plan: Plan, limit: int, *, whole_episodes: bool) -> str:
     if not repeats_itself(plan.simulator) or not (whole_episodes or is_own_world(plan.simulator)):
         return f"the margin needs SKD's own world: what simulator {plan.simulator} would have done is not known"
     if plan.car.is_external and not whole_episodes:
-        return (
-            "the margin of a node of its own is searched by whole episodes, in lockstep: leave out --pacing real_time"
-        )
+        return "the margin of a node of its own is searched by whole episodes: skd assess --graph"
     return ""
 
 
@@ -175,10 +175,16 @@ def _by_whole_episodes(
     Raises:
         AssessmentError: the car fails, or more episodes were aborted than may be.
     """
-    effort = _effort(WHOLE_EPISODES, context.margin_limit)
+    held = context.graph is not None and not context.graph.answers_each_state
+    effort = _effort(HELD_COMMANDS if held else WHOLE_EPISODES, context.margin_limit)
     found = search_margins(episodes, logs, by_episodes(runner, context.progress), effort)
-    hits, again = repeated(found, runner)
     warnings = []
+    best = found.hits
+    if held:
+        best = confirmed(found, runner)
+        hits, again = (sum(one is not None for one in some) for some in (found.hits, best))
+    else:
+        hits, again = repeated(found, runner)
     if found.reasons:
         lost = f"{len(found.reasons)} episodes of the search for the margin were aborted ({found.reasons[0]})"
         if len(found.reasons) > MAXIMUM_ABORTED * found.driven:
@@ -190,8 +196,10 @@ def _by_whole_episodes(
             f"{hits} hits {again} came again"
         )
     came = f"{again} of {hits} hits came again" if hits else "none hit"
+    if held and again < hits:
+        came += f", the others count as {plan.scenario.eta_max:g} m"
     how = f"by up to {found.search.budget} whole episodes a trial; {came}"
-    return found.hits, replace(found.search, how=how), warnings
+    return best, replace(found.search, how=how, converged=found.search.converged and not held), warnings
 
 
 def run(context: Context, assessment: Assessment) -> Assessment:
@@ -200,13 +208,15 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     A car that is a node of its own, or in another simulator than SKD's own world, is searched by whole episodes.
     """
     plan = assessment.for_deviation.plan
-    whole = context.repeats and (plan.car.is_external or not is_own_world(plan.simulator))
+    held = context.graph is not None and not context.graph.answers_each_state
+    whole = (context.repeats or held) and (plan.car.is_external or not is_own_world(plan.simulator))
     note = why_no_margin(plan, context.margin_limit, whole_episodes=whole)
     if not note and whole and 2 * len(assessment.reasons) > assessment.episodes:
         note = "most episodes were aborted, and so would be those that search it"
     if note:
         return replace(assessment, margin_note=note)
-    each = min(plan.kamikaze_count, WHOLE_EPISODE_TRIALS) if whole else plan.kamikaze_count
+    most = HELD_COMMANDS_TRIALS if held else WHOLE_EPISODE_TRIALS
+    each = min(plan.kamikaze_count, most) if whole else plan.kamikaze_count
     episodes = [
         plan.episode(Mode.KAMIKAZE, index, trial, phi)
         for index, phi in enumerate(assessment.safe)

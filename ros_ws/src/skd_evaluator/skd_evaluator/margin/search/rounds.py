@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from skd_sim.controllers import Controller, is_sensing, make_controller, takes_batches
 from skd_sim.controllers.isolated import isolated
+from skd_sim.world.episode import Outcome
 
 from skd_evaluator.assessment.context import Progress, Runner
 from skd_evaluator.assessment.run.batches import Replay, replayed, why_not_side_by_side
@@ -15,6 +16,7 @@ from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.search.group import Drive, Group, search
 from skd_evaluator.margin.search.search import Rounds, SearchedMargins
 from skd_evaluator.margin.search.trial import Trial
+from skd_evaluator.metrics.deviation import Hit, hit_of
 
 LABEL = "margin"
 SAME = 1e-4
@@ -59,6 +61,23 @@ def repeated(found: SearchedMargins, runner: Runner) -> tuple[int, int]:
             place = log.trajectory.positions[-1] - hit.trajectory.positions[-1]
             again += bool(np.hypot(*place) <= SAME)
     return len(pairs), again
+
+
+def confirmed(found: SearchedMargins, runner: Runner) -> list[Hit | None]:
+    """Drive the best hit of each trial again, and return what it hits with then; None: it does not.
+
+    So a hit of a car that does not repeat itself counts by its share, in the mean over trials.
+    """
+    again = iter(list(runner.run([one for hit, one in zip(found.hits, found.episodes, strict=True) if hit and one])))
+    hits: list[Hit | None] = []
+    for hit, episode in zip(found.hits, found.episodes, strict=True):
+        log = next(again) if hit and episode else None
+        if log is None or log.outcome == Outcome.ABORTED:  # a kamikaze's own hit, or nothing is known of the second run
+            hits.append(hit)
+        else:
+            phi = log.episode.safe_trajectory
+            hits.append(hit_of(phi.positions, log) if log.hit and phi is not None else None)
+    return hits
 
 
 def _search(job: tuple[Group, int]) -> Group:

@@ -41,17 +41,21 @@ class Effort(NamedTuple):
         limit: candidates a trial at most, but for those that are searched deeper.
         excursions: candidates a trial to begin with.
         free_plans: whether driving takes so long that planning does not count.
+        deepens: whether some trials are searched several times as deep; without it no search has converged.
     """
 
     first: int = 16
     limit: int = 512
     excursions: int = 12
     free_plans: bool = False
+    deepens: bool = True
 
 
 IN_PROCESS: Final = Effort()
 WHOLE_EPISODES: Final = Effort(first=8, limit=64, excursions=2, free_plans=True)
 """Of a stack behind the node graph."""
+HELD_COMMANDS: Final = Effort(first=4, limit=16, excursions=2, free_plans=True, deepens=False)
+"""Of one that does not answer each state: an episode may take as long as it simulates, and no hit is certain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +113,9 @@ def search_margins(
         last = 2 * budget > effort.limit
         latest = [mean for _, mean in means[-3:]]
         steady = len(means) > 3 and all(map(_near, latest[1:], latest)) and searched.has_all_hits
-        if steady or last:
+        if last and not effort.deepens:
+            return searched.result(False, budget, None, means)
+        if effort.deepens and (steady or last):
             shallow = searched.mean
             excess, brought = searched.deepen(budget)
             least, most = (share * searched.mean for share in _EXCESS)
