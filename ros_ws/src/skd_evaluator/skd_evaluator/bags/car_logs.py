@@ -21,7 +21,8 @@ from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes
 from skd_evaluator.assessment.files.episodes_npz import read_episodes as read_arrays
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.plan import Stage, probed, split_episode_id
-from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, holds_recordings, not_credible_beside
+from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, not_credible_beside
+from skd_evaluator.bags.files import holds_recordings, is_recording
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
 
@@ -39,7 +40,7 @@ def recording_of(log: EpisodeLog) -> RecordedEpisode:
 
 
 def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[RecordedEpisode]:
-    """Return every recorded episode of `paths`: bag folders, .mcap files, episodes.npz, or folders of them.
+    """Return every recorded episode of `paths`: bag folders, files of recordings, episodes.npz, or folders of them.
 
     An episodes.npz with bags below its folder is not read, for they hold every episode. An episode that is found twice
     counts once.
@@ -71,14 +72,13 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, RecordedEpisode
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
     if path.is_dir():
-        arrays = _arrays_below(path, damage)
-        bags = holds_recordings(path)
+        arrays, bags = _arrays_below(path, damage), holds_recordings(path)
         if not bags and not arrays:
-            raise UsageError(f"{path}: holds neither .mcap files nor {EPISODES}; record some with skd probe")
+            raise UsageError(f"{path}: holds neither recordings nor {EPISODES}; record some with skd probe")
     else:
-        bags, arrays = path.suffix != ".npz", [path] if path.suffix == ".npz" else []
-        if bags and not path.name.endswith((".mcap", ".mcap.zstd")):
-            raise UsageError(f"{path}: give {EPISODES}, an .mcap file, or a folder of them")
+        bags, arrays = is_recording(path), [path] if path.suffix == ".npz" else []
+        if not bags and not arrays:
+            raise UsageError(f"{path}: give {EPISODES}, a recording, or a folder of them")
     if bags:
         for line in not_credible_beside(path.rglob("*.mcap*") if path.is_dir() else [path]):
             damage.warn(f"{path}: {line}")
@@ -96,7 +96,7 @@ def _arrays_below(folder: Path, damage: Damage) -> list[Path]:
         for path, _, files in folders_in(folder, lambda path, why: damage.leave_out(f"{path}: {why}"))
         if EPISODES in files
     }
-    return [path / EPISODES for path in sorted(holding) if not any(path.rglob("*.mcap"))]
+    return [path / EPISODES for path in sorted(holding) if not holds_recordings(path)]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Reads episodes back from MCAP files, written by SKD or by `ros2 bag record`.
+"""Reads episodes back from recordings, written by SKD or by `ros2 bag record`.
 
 Nothing is assumed about the order of messages, how they are split over chunks and files, or what else was recorded; and
 everything that can be recomputed is checked.
@@ -19,8 +19,9 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
 from skd_evaluator.assessment.plan import model_digest
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message, stamps
-from skd_evaluator.bags.checks import Damage, LocatedLog, accept, find_recordings
-from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened, types_in, typestore
+from skd_evaluator.bags.checks import Damage, LocatedLog, accept
+from skd_evaluator.bags.files import find_recordings
+from skd_evaluator.bags.messages import Condition, Received, read_messages, shortened, typestore
 
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
 CAR, ADVERSARY = "/ego/odometry", "/adversary/odometry"
@@ -113,8 +114,7 @@ class GraphRecording:
         known, said = self._said.setdefault((role, key), message.data), message.data
         if known == said:
             return True
-        schema = message.schema
-        store, name = types_in(schema.name, schema.encoding, schema.data), schema.name
+        store, name = message.types, message.type
         if store.serialize_cdr(store.deserialize_cdr(known, name), name) == store.serialize_cdr(content, name):
             return True
         self.disputed[key] = f"two different messages on {role} are about it: who sent them?"
@@ -227,7 +227,7 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> BagContent
     """Return all episodes of recordings that can have happened.
 
     Args:
-        paths: bag folders, .mcap files, or folders of them.
+        paths: bag folders, files of recordings, or folders of them.
         damage: told what is left out and what is to be said; by default whatever is damaged is refused.
 
     Raises:
@@ -292,7 +292,7 @@ def _read_file(file: Path, graphs: dict[str, GraphRecording], damage: Damage) ->
     """
     count, condition = 0, Condition()
     for message in read_messages(file, lambda topic: _namespace_and_role(topic) is not None, condition):
-        topic = message.channel.topic
+        topic = message.topic
         namespace, role = _namespace_and_role(topic) or ("", "")
         _check_type(message, role, file)
         try:
@@ -324,10 +324,9 @@ def _namespace_and_role(topic: str) -> tuple[str, str] | None:
 
 def _check_type(message: Received, role: str, file: Path) -> None:
     """Refuse a message of another type than its topic's, or of another version of SKD."""
-    schema = message.schema
-    if schema.name != _TOPICS[role]:
-        raise UsageError(f"{file}: {message.channel.topic} has type {shortened(schema.name)}, expected {_TOPICS[role]}")
-    if schema.name.startswith("skd_msgs/"):
-        theirs = types_in(schema.name, schema.encoding, schema.data).fielddefs[schema.name]
-        if theirs != typestore().fielddefs[schema.name]:
-            raise UsageError(f"{file}: {schema.name} was recorded by another version of SKD; replay it with that one")
+    if message.type != _TOPICS[role]:
+        raise UsageError(f"{file}: {message.topic} has type {shortened(message.type)}, expected {_TOPICS[role]}")
+    if message.type.startswith("skd_msgs/") and (
+        message.types.fielddefs[message.type] != typestore().fielddefs[message.type]
+    ):
+        raise UsageError(f"{file}: {message.type} was recorded by another version of SKD; replay it with that one")

@@ -1,7 +1,7 @@
 """Tracked objects of recordings: of bags, by topic, id or frame, and of csv tables, by id.
 
 A name in a bag is a topic of Odometry, of a pose or of a point, as `/ego/odometry`; `/tf:base_link` is a frame of /tf,
-and `/detections:42` the object of a Detection3DArray with this id.
+and `/detections:42` the object of a Detection3DArray with this id. Times are those of the messages' stamps.
 """
 
 from __future__ import annotations
@@ -10,31 +10,37 @@ import csv
 import io
 import math
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from skd_sim.arrays import FloatArray
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, open_regular
 from skd_sim.ros.from_messages import from_stamp
 
-from skd_evaluator.bags.checks import find_recordings
-from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened
-from skd_evaluator.bags.transforms import Poses, Transforms
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.messages import Condition, Received, read_messages, shortened
+from skd_evaluator.bags.transforms import SECOND, At, Poses, Transforms, bare, zigzag
 
 TABLE_CAR, TABLE_OTHER = "car", "other"
 """Ids of car and road user in a table, unless said otherwise."""
+LONGEST_GAP = 0.5
+"""s between two positions, or transforms, over which nothing is filled in: a car at 50 km/h moves 7 m in it."""
+TF = "/tf"
+"""Topic of transforms; those that are fixed are on the one of this name with `_static` behind."""
 FASTEST = 70.0
 """m/s that no road user exceeds between two positions, jumps of a few centimetres left aside."""
 _JITTER = 0.3  # m
+_ZIGZAG, _OFTEN = 0.15, 0.2  # m to and fro in a fifth of all positions: of no sensor
+_RATES = 1.0, 1000.0  # positions per second
 _FARTHEST = 1e8  # m; UTM's coordinates stay below a tenth of it
 _FEW = 8  # names in a message
-_NANOSECONDS = 1e-9
-_LATE = 1.0  # s by which a message may be recorded behind a later one
-_TF, _TF_STATIC = "/tf", "/tf_static"
+_LATE = SECOND  # ns by which a message may be recorded behind a later one
+_SAME = 1e-3  # m between two places that are one
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _READ = (
     "nav_msgs/msg/Odometry",
@@ -59,7 +65,7 @@ class Track:
     """One tracked object.
 
     Attributes:
-        times: n ≥ 2, s, strictly increasing.
+        times: n ≥ 2, s from `origin` on, strictly increasing.
         places: n × 2, m.
         where: file and name, for messages.
         headings: n, rad; None where the recording does not say.
@@ -67,6 +73,10 @@ class Track:
         name: topic, id or name in the file.
         kind: what the file says it is; empty where it does not say.
         frame: name of its frame; empty where it has none.
+        origin: where its times begin on the file's clock, s.
+        form: how the file says where it is.
+        drawn: whether the file defines it in straight lines between its positions, however far apart they are.
+        notes: what was done with it, or left out of it.
 
     Raises:
         UsageError: it has too few positions, one that is not finite or not in m, or times that do not increase.
@@ -80,6 +90,10 @@ class Track:
     name: str = ""
     kind: str = ""
     frame: str = ""
+    origin: float = 0.0
+    form: str = ""
+    drawn: bool = False
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.times)
@@ -88,26 +102,82 @@ class Track:
         given = (one for one in (self.times, self.places, self.headings, self.speeds) if one is not None)
         if not all(np.isfinite(one).all() for one in given):
             raise UsageError(f"{self.where}: has a time, position, heading or speed that is no finite number")
-        if (np.diff(self.times) <= 0.0).any():
-            raise UsageError(f"{self.where}: times must increase strictly, in s")
+        wrong = np.flatnonzero(np.diff(self.times) <= 0.0)
+        if wrong.size:
+            row = int(wrong[0])
+            before, after = (self.origin + self.times[row : row + 2]).tolist()
+            apart = float(np.hypot(*(self.places[row + 1] - self.places[row])))
+            raise UsageError(
+                f"{self.where}: is in two places, {apart:.3g} m apart, at {before:.2f} s (so at {wrong.size} of "
+                f"{count} positions)"
+                if before == after
+                else f"{self.where}: times fall from {before:.2f} to {after:.2f} s; they must increase"
+            )
         if np.abs(self.places).max() > _FARTHEST:
             raise UsageError(f"{self.where}: has a position beyond {_FARTHEST:g} m: are positions in m?")
 
     @classmethod
-    def of_rows(cls, rows: Sequence[Sequence[float]] | FloatArray, where: str, name: str, kind: str = "") -> Track:
-        """Return the track of rows of time (s), x and y (m), in any order but without time twice."""
-        table = np.array(rows, np.float64).reshape(-1, 3)
-        return cls(table[:, 0], table[:, 1:], where, name=name, kind=kind)
+    def of_rows(
+        cls,
+        rows: Sequence[Sequence[float]] | FloatArray,
+        where: str,
+        name: str,
+        kind: str = "",
+        form: str = "",
+        *,
+        drawn: bool = False,
+        notes: tuple[str, ...] = (),
+    ) -> Track:
+        """Return the track of rows of time (s), x and y (m), in their order; one that is there twice counts once."""
+        table = np.array(list(dict.fromkeys(map(tuple, np.asarray(rows).tolist()))), np.float64).reshape(-1, 3)
+        return cls(table[:, 0], table[:, 1:], where, name=name, kind=kind, form=form, drawn=drawn, notes=notes)
 
     @property
     def jump(self) -> str:
         """Its first step that no road user makes, in words; empty without any."""
         steps, moved = np.diff(self.times), np.hypot(*np.diff(self.places, axis=0).T)
         wrong = np.flatnonzero(moved > FASTEST * steps + _JITTER)
-        if not wrong.size:
+        if wrong.size:
+            row = int(wrong[0])
+            return f"moves {moved[row]:.3g} m in {steps[row]:.3g} s: are positions in m and times in s?"
+        off = zigzag(self.times, self.places)
+        leaps = off[off > _ZIGZAG]
+        if not self.drawn and len(self.times) >= 5 and len(leaps) > _OFTEN * len(self.times):
+            return f"leaps to and fro by {np.median(leaps):.2g} m at {len(leaps)} of {len(self.times)} positions"
+        return ""
+
+    def gap(self, longest: float) -> str:
+        """Its longest step, if that is longer than a limit (s) or nobody's, in words; empty otherwise."""
+        steps = np.diff(self.times)
+        usual, row = float(np.median(steps)), int(np.argmax(steps))
+        if self.drawn:
             return ""
-        row = int(wrong[0])
-        return f"moves {moved[row]:.3g} m in {steps[row]:.3g} s: are positions in m and times in s?"
+        if usual < 1.0 / _RATES[1]:
+            return f"{1.0 / usual:.3g} positions a second: are times in s?"
+        if steps[row] <= longest * (1.0 + 1e-6):
+            return ""
+        if usual > longest:
+            unit = ": are times in s?" if usual > 1.0 / _RATES[0] else ""
+            return f"a position each {usual:.3g} s, longer than --longest-gap {longest:g} s{unit}"
+        begin, end = (self.origin + self.times[row : row + 2]).tolist()
+        why = "".join(f"; {note}" for note in self.notes)
+        return (
+            f"a gap of {steps[row]:.2f} s, longer than --longest-gap {longest:g} s, from {begin:.2f} to {end:.2f} s"
+            f"{why}"
+        )
+
+    def cut(self, begin: float | None, end: float | None) -> Track:
+        """Return what of it is between two times on the file's clock, s; None: as far as it goes."""
+        clock = self.origin + self.times
+        rows = (clock >= (-math.inf if begin is None else begin)) & (clock <= (math.inf if end is None else end))
+        if rows.all():
+            return self
+        given = {
+            name: one[rows]
+            for name in ("times", "places", "headings", "speeds")
+            if (one := getattr(self, name)) is not None
+        }
+        return replace(self, **given)
 
     def placed(self, frame: RecordingFrame) -> Track:
         """Return it in the frame `map`."""
@@ -123,150 +193,381 @@ def listed(names: Collection[str]) -> str:
     return f"{shown} and {len(names) - _FEW} more" if len(names) > _FEW else shown or "nothing that moves"
 
 
+class Listed(NamedTuple):
+    """What a file holds of one object.
+
+    Attributes:
+        name: topic, topic and id, frame, id or name.
+        form: how the file says where it is.
+        positions: how many there are.
+        times: of its positions, on the file's clock, s.
+        frame: name of its frame; empty where it has none.
+        why: why it is not read; empty where it is.
+    """
+
+    name: str
+    form: str
+    positions: int
+    times: FloatArray
+    frame: str = ""
+    why: str = ""
+
+    @classmethod
+    def of(cls, track: Track) -> Listed:
+        """Return what is to be said of a track."""
+        why = "; ".join(filter(None, (track.jump, *track.notes)))
+        return cls(track.name, track.form, len(track.times), track.origin + track.times, track.frame, why)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as numbers: rate (1/s), gaps and the longest step (s) among them."""
+        steps = np.diff(self.times)
+        usual = float(np.median(steps)) if steps.size else 0.0
+        return {
+            "name": self.name,
+            "form": self.form,
+            "count": self.positions,
+            "rate": 1.0 / usual if usual > 0.0 else None,
+            "gaps": int((steps > GAP * usual).sum()),
+            "longest_step": float(steps.max()) if steps.size else None,
+            "begins": float(self.times[0]) if len(self.times) else None,
+            "ends": float(self.times[-1]) if len(self.times) else None,
+            "frame": self.frame,
+            "why": self.why,
+        }
+
+
+GAP = 1.5
+"""Times the usual step, from which on a step is a gap."""
+
+
 # --- bags
 
 
-def bag_tracks(path: Path, names: Sequence[str], map_frame: str | None = None) -> dict[str, Track]:
-    """Return objects of a bag, by name.
+class _Row(NamedTuple):
+    """One message's word of one object: recorder's time and stamp (ns), frame, place, heading (rad), speed (m/s)."""
+
+    logged: int
+    stamp: int
+    frame: str
+    x: float
+    y: float
+    z: float
+    heading: float
+    speed: float
+
+
+@dataclass
+class _Bag:
+    """What was read of a recording.
+
+    Attributes:
+        where: the recording, for messages.
+        rows: of each topic the rows of each object, by id.
+        trees: the transforms of each topic of such.
+        unnamed: topics with ids that several objects of one message have.
+        topics: the type of each topic.
+        counts: how many messages each topic has.
+    """
+
+    where: str
+    rows: dict[str, dict[str, list[_Row]]] = field(default_factory=dict)
+    trees: dict[str, Transforms] = field(default_factory=dict)
+    unnamed: set[tuple[str, str]] = field(default_factory=set)
+    topics: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+
+
+def bag_tracks(
+    files: Sequence[Path],
+    names: Sequence[str],
+    map_frame: str | None = None,
+    *,
+    longest_gap: float = LONGEST_GAP,
+    tf: str = TF,
+    damage: Damage | None = None,
+) -> dict[str, Track]:
+    """Return objects of a recording, by name; their times have one origin.
 
     Args:
-        path: an .mcap file or a bag's folder.
-        names: a topic, a topic and an id with a colon in between, or `/tf:FRAME`.
+        files: the files of one recording.
+        names: a topic, a topic and an id with a colon in between, or a topic of transforms with a frame, `/tf:FRAME`.
         map_frame: frame of the positions; None: that in which they are recorded, of /tf the highest.
+        longest_gap: time between two transforms, s, beyond which places are not known.
+        tf: topic of the transforms by which others come into `map_frame`.
+        damage: told what is left out; by default that is refused.
 
     Raises:
-        UsageError: it cannot be read, is damaged, lacks one of them, does not say how frames lie, or its clock goes
+        UsageError: it cannot be read, lacks one of them, does not say how frames lie or when it was, or its clock goes
             back.
     """
-    topics = {name.partition(":")[0] for name in names}
-    read = topics | ({_TF, _TF_STATIC} if map_frame is not None or _TF in topics else set())
-    transforms = Transforms(str(path))
-    seen: dict[str, dict[str, list[tuple[str, tuple[float, ...]]]]] = {topic: {} for topic in topics}
-    for file in (file for files in find_recordings([path]) for file in files):
-        condition = Condition()
-        for received in read_messages(file, read.__contains__, condition):
-            topic, kind = received.channel.topic, received.schema.name
-            message = _decoded(received, file)
-            if kind == _TRANSFORMS and topic in (_TF, _TF_STATIC):
-                _add_transforms(transforms, message, static=topic == _TF_STATIC)
-                continue
-            for id_, header, pose, speed in _objects(kind, message):
-                row = (_NANOSECONDS * from_stamp(header.stamp), *_place_and_heading(pose), speed)
-                seen[topic].setdefault(id_, []).append((str(header.frame_id), row))
-        if condition.damage:
-            raise UsageError(f"{file}: is damaged ({condition.damage[0]})")
-    found = {}
+    damage = damage or Damage()
+    asked = {name.partition(":")[0] for name in names} | ({tf} if map_frame is not None else set())
+    wanted = asked | {f"{topic}_static" for topic in asked}
+    bag = _read(files, wanted.__contains__, longest_gap, damage)
+    found: dict[str, tuple[list[_Row], str]] = {}
     for name in names:
         topic, _, id_ = name.partition(":")
-        if topic == _TF and not seen[topic]:
-            found[name] = _track_of_frame(path, name, transforms, map_frame)
-        elif id_ in seen[topic]:
-            found[name] = _track_of_rows(path, name, seen[topic][id_], transforms, map_frame)
-        elif seen[topic]:
-            ids = ", ".join(map(shortened, list(seen[topic])[:_FEW]))
-            raise UsageError(f"{path}: {topic} has several objects; it has {ids}: name one as {topic}:ID")
+        kind, ids = bag.topics.get(topic), bag.rows.get(topic, {})
+        if topic in bag.trees or kind == _TRANSFORMS:
+            found[name] = _rows_of_frame(bag, topic, id_, map_frame)
+        elif id_ in ids:
+            found[name] = _clean(bag, name, ids[id_], map_frame, tf, damage)
+        elif ids:
+            known = ", ".join(map(shortened, list(ids)[:_FEW]))
+            raise UsageError(f"{bag.where}: {topic} has several objects; it has {known}: name one as {topic}:ID")
+        elif kind is not None and kind not in _READ:
+            raise UsageError(f"{bag.where}: {topic} has type {shortened(kind)}; it must be one of {', '.join(_READ)}")
         else:
-            raise UsageError(f"{path}: has no message on {topic}; name the topics by --car and --road-user")
+            if damage.left_out and kind is not None:
+                raise UsageError(damage.left_out[-1])
+            readable = [one for one, kind in bag.topics.items() if kind in (*_READ, _TRANSFORMS)]
+            raise UsageError(
+                f"{bag.where}: has no message on {topic}; it has {listed(readable)}: name them by --car and --road-user"
+            )
+    if len({how for _, how in found.values()}) > 1:
+        raise UsageError(
+            f"{bag.where}: some of {', '.join(names)} have no stamps, so nothing says when both were where"
+        )
+    origin = min(rows[0].stamp for rows, _ in found.values())
+    return {name: _track(bag, name, rows, origin, map_frame, tf, how, damage) for name, (rows, how) in found.items()}
+
+
+def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] = ()) -> list[Listed]:
+    """Return what a recording holds: each object and frame, then the topics that are not read.
+
+    Args:
+        files: the files of one recording.
+        damage: told what is left out.
+        topics: only these; empty: all.
+    """
+    bag = _read(files, lambda topic: not topics or topic in topics, LONGEST_GAP, damage, readable=True)
+    found = []
+    for topic, ids in bag.rows.items():
+        for id_, rows in ids.items():
+            frames = ", ".join(dict.fromkeys(one.frame for one in rows))
+            times = np.array(sorted({one.stamp for one in rows}), np.float64) / SECOND
+            why = ""
+            if (topic, id_) in bag.unnamed:
+                why = "several objects of one message have this id"
+            elif times[0] == 0.0 and len(times) < len(rows):
+                why = f"{sum(one.stamp == 0 for one in rows)} of {len(rows)} stamps are 0"
+            elif len(times) < len(rows):
+                why = f"{len(rows) - len(times)} of {len(rows)} stamps are there more than once"
+            name = f"{topic}:{id_}" if id_ else topic
+            found.append(Listed(name, bag.topics[topic], len(rows), times, frames, why))
+    for topic, tree in bag.trees.items():
+        for child, parents, moves, times in tree.summary():
+            form = "a moving frame" if moves else "a fixed frame"
+            found.append(Listed(f"{topic}:{child}", form, len(times), times if moves else times[:0], parents))
+    for topic, kind in sorted(bag.topics.items()):
+        if kind not in (*_READ, _TRANSFORMS) and (not topics or topic in topics):
+            found.append(Listed(topic, kind, bag.counts[topic], np.zeros(0), why="of a type that is not read"))
     return found
 
 
-def _decoded(received: Received, file: Path) -> Any:
-    kind = received.schema.name
-    if kind not in (*_READ, _TRANSFORMS):
-        raise UsageError(
-            f"{file}: {received.channel.topic} has type {shortened(kind)}; it must be one of {', '.join(_READ)}, or "
-            "/tf:FRAME"
-        )
-    try:
-        return received.decoded()
-    except UsageError as error:
-        raise UsageError(f"{file}: {error}") from error
+def _read(files: Sequence[Path], wanted: Any, longest_gap: float, damage: Damage, *, readable: bool = False) -> _Bag:
+    """Return what is on wanted topics, of types that are not read only where they are not to be left out."""
+    bag = _Bag(str(files[0] if len(files) == 1 else files[0].parent))
+    for file in files:
+        condition = Condition()
+        for received in read_messages(file, wanted, condition):
+            topic, kind = received.topic, received.type
+            if kind not in (*_READ, _TRANSFORMS):
+                continue
+            try:
+                message = received.decoded()
+            except UsageError as error:
+                if isinstance(error.__cause__, Exception) or readable:
+                    damage.leave_out(f"{file}: {error}")
+                    continue
+                raise UsageError(f"{file}: {error}") from error
+            if kind == _TRANSFORMS:
+                tree = bag.trees.setdefault(topic.removesuffix("_static"), Transforms(bag.where, longest_gap))
+                _add_transforms(tree, message, received, fixed=topic.endswith("_static"))
+                continue
+            ids = bag.rows.setdefault(topic, {})
+            seen: set[str] = set()
+            for id_, row in _objects(received, message):
+                if id_ in seen:
+                    bag.unnamed.add((topic, id_))
+                seen.add(id_)
+                ids.setdefault(id_, []).append(row)
+        if condition.refuted:
+            raise UsageError(f"{file}: {condition.damage[-1]}, and it has no other: leave the file out")
+        for what in condition.damage:
+            damage.leave_out(f"{file}: {what}; what is whole of it is read")
+        bag.topics.update(condition.topics)
+        for topic, count in condition.counts.items():
+            bag.counts[topic] = bag.counts.get(topic, 0) + count
+    return bag
 
 
-def _objects(kind: str, message: Any) -> Iterator[tuple[str, Any, Any, float]]:
-    """Yield id (empty where the topic has one object), header, pose or point, and speed (m/s) of each object."""
-    if kind.endswith("Odometry"):
-        linear = message.twist.twist.linear
-        yield "", message.header, message.pose.pose, math.hypot(linear.x, linear.y)
-    elif kind.endswith("Detection3DArray"):
+def _objects(received: Received, message: Any) -> Iterator[tuple[str, _Row]]:
+    """Yield id (empty where the topic has one object) and row of each object."""
+    kind = received.type
+    if kind.endswith("Detection3DArray"):
         for one in message.detections:
-            id_ = one.id if hasattr(one, "id") else one.tracking_id  # before ROS 2 Humble
-            yield str(id_), one.header if one.header.frame_id else message.header, one.bbox.center, math.nan
+            id_ = getattr(one, "id", None)
+            if id_ is None:
+                id_ = getattr(one, "tracking_id", "")  # before ROS 2 Humble
+            yield str(id_), _row(received, (one.header, message.header), one.bbox.center)
+    elif kind.endswith("Odometry"):
+        linear = message.twist.twist.linear
+        yield "", _row(received, (message.header,), message.pose.pose, math.hypot(linear.x, linear.y))
     elif kind.endswith("PointStamped"):
-        yield "", message.header, message.point, math.nan
+        yield "", _row(received, (message.header,), message.point)
     else:
-        pose = message.pose
-        yield "", message.header, getattr(pose, "pose", pose), math.nan
+        yield "", _row(received, (message.header,), getattr(message.pose, "pose", message.pose))
 
 
-def _place_and_heading(pose: Any) -> tuple[float, float, float, float]:
+def _row(received: Received, headers: Sequence[Any], pose: Any, speed: float = math.nan) -> _Row:
+    """Return the row of a pose or a point; stamp and frame are of the first header that has one."""
     p, q = getattr(pose, "position", pose), getattr(pose, "orientation", None)
     heading = math.nan
     if q is not None and abs(q.w**2 + q.x**2 + q.y**2 + q.z**2 - 1.0) < 1e-3:  # else it was not filled in
         heading = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
-    return float(p.x), float(p.y), float(p.z), heading
+    stamp = next((at for one in headers if (at := from_stamp(one.stamp))), 0)
+    frame = next((name for one in headers if (name := bare(str(one.frame_id)))), "")
+    return _Row(received.logged, stamp, frame, float(p.x), float(p.y), float(p.z), heading, float(speed))
 
 
-def _add_transforms(transforms: Transforms, message: Any, *, static: bool) -> None:
+def _add_transforms(transforms: Transforms, message: Any, received: Received, *, fixed: bool) -> None:
     for one in message.transforms:
         p, q = one.transform.translation, one.transform.rotation
-        row = (_NANOSECONDS * from_stamp(one.header.stamp), *map(float, (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
-        transforms.add(str(one.header.frame_id), str(one.child_frame_id), row, static=static)
+        row = tuple(map(float, (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+        stamp = from_stamp(one.header.stamp)
+        transforms.add(str(one.header.frame_id), str(one.child_frame_id), stamp, received.logged, row, fixed=fixed)
 
 
-def _track_of_frame(path: Path, name: str, transforms: Transforms, map_frame: str | None) -> Track:
-    frame = name.partition(":")[2]
-    if frame not in transforms.frames:
-        raise UsageError(f"{path}: /tf has no frame {frame!r} but {_some(transforms)}; name it as /tf:FRAME")
-    within = transforms.root(frame) if map_frame is None else _known_frame(path, transforms, map_frame)
-    times = transforms.stamps(frame)
-    poses = transforms.poses(frame, within, times)
-    return Track(times, poses.places[:, :2], f"{path}, {name}", poses.headings, name=name, frame=within)
+_STAMPS, _RECORDER = "stamps", "the recorder's times"
 
 
-def _known_frame(path: Path, transforms: Transforms, frame: str) -> str:
-    if not transforms.knows(frame):
+def _rows_of_frame(bag: _Bag, topic: str, frame: str, map_frame: str | None) -> tuple[list[_Row], str]:
+    """Return when a frame is said to lie somewhere, at its own origin, and by which clock."""
+    tree, frame = bag.trees.get(topic), bare(frame)
+    if tree is None or frame not in tree.frames:
+        some = listed(tree.frames) if tree else "no frame"
+        raise UsageError(f"{bag.where}: {topic} has no frame {frame!r} but {some}; name it as {topic}:FRAME")
+    at = tree.times(frame, tree.root(frame) if map_frame is None else _known(bag, topic, map_frame))
+    times = zip(at.stamps.tolist(), at.logged.tolist(), strict=True)
+    return [_Row(logged, stamp, frame, 0.0, 0.0, 0.0, 0.0, math.nan) for stamp, logged in times], _STAMPS
+
+
+def _known(bag: _Bag, tf: str, frame: str) -> str:
+    """Return a frame of the transforms on a topic."""
+    tree, frame = bag.trees.get(tf), bare(frame)
+    if tree is not None and frame in tree.frames:
+        return frame
+    others = [one for one, kind in bag.topics.items() if kind == _TRANSFORMS and one.removesuffix("_static") != tf]
+    some = listed(tree.frames) if tree else "no frame"
+    more = f"; transforms are on {listed(others)}, too: name one by --tf-topic" if others else ""
+    raise UsageError(f"{bag.where}: --map-frame {frame}: {tf} and {tf}_static do not know it; they have {some}{more}")
+
+
+def _clean(
+    bag: _Bag, name: str, rows: Sequence[_Row], map_frame: str | None, tf: str, damage: Damage
+) -> tuple[list[_Row], str]:
+    """Return the rows of an object by their times, without those of no use, and by which clock they are."""
+    topic, _, id_ = name.partition(":")
+    where, count = f"{bag.where}: {topic}", len(rows)
+    if (topic, id_) in bag.unnamed:
+        raise UsageError(f"{where}: several objects of one message have the id {id_!r}: nobody can tell them apart")
+    rows, how = sorted(rows, key=lambda one: one.logged), _STAMPS
+    unset = [index for index, one in enumerate(rows) if one.stamp <= 0]
+    if len(unset) == count:
+        if map_frame is not None and {one.frame for one in rows} != {bare(map_frame)}:
+            raise UsageError(f"{where}: the stamps of all {count} messages are 0, so nothing says how frames lay then")
+        damage.warn(f"{where}: the stamps of {count} of {count} messages are 0 (not filled in): {_RECORDER} are taken")
+        rows, how = [one._replace(stamp=one.logged) for one in rows], _RECORDER
+    elif len(unset) > 1 or (unset and unset[0] > 0) or (unset and count > 2 and rows[1].stamp > _LATE):
+        damage.warn(f"{where}: the stamps of {len(unset)} of {count} messages are 0 (before the clock began): left out")
+        rows = [one for one in rows if one.stamp > 0]
+    back = next((pair for pair in pairwise(rows) if pair[1].stamp < pair[0].stamp - _LATE), None)
+    if back is not None:
+        before, after = (one.stamp / SECOND for one in back)
         raise UsageError(
-            f"{path}: --map-frame {frame}: /tf and /tf_static do not know it; they have {_some(transforms)}"
+            f"{where}: the clock goes back from {before:.2f} to {after:.2f} s: is it of several drives? Cut it to one"
         )
-    return frame
+    wrong = [one for one in rows if not all(map(math.isfinite, one[3:6]))]
+    if wrong:
+        first = min(one.stamp for one in wrong) / SECOND
+        damage.warn(f"{where}: {len(wrong)} of {count} positions are no numbers (the first at {first:.2f} s): left out")
+        rows = [one for one in rows if all(map(math.isfinite, one[3:6]))]
+    by_stamp: dict[int, _Row] = {}
+    twice: list[tuple[float, int]] = []
+    for one in rows:
+        same = by_stamp.setdefault(one.stamp, one)
+        if (apart := math.dist(same[3:6], one[3:6])) > _SAME or same.frame != one.frame:
+            twice.append((apart, one.stamp))
+    if twice:
+        raise UsageError(
+            f"{where}: the stamp {twice[0][1] / SECOND:.2f} s is there twice, with places {twice[0][0]:.3g} m apart "
+            f"({len(twice)} of {count} messages repeat one): a clock slower than the messages, or two publishers"
+        )
+    if not by_stamp:
+        raise UsageError(f"{where}: nothing that can be used is left of {count} messages")
+    return [by_stamp[stamp] for stamp in sorted(by_stamp)], how
 
 
-def _some(transforms: Transforms) -> str:
-    return ", ".join(map(shortened, transforms.frames[:_FEW])) or "no frame"
-
-
-def _track_of_rows(
-    path: Path,
-    name: str,
-    seen: Sequence[tuple[str, tuple[float, ...]]],
-    transforms: Transforms,
-    map_frame: str | None,
+def _track(
+    bag: _Bag, name: str, rows: Sequence[_Row], origin: int, map_frame: str | None, tf: str, how: str, damage: Damage
 ) -> Track:
-    frame, *others = dict.fromkeys(one for one, _ in seen)
+    """Return the track of rows by their times, in the frame in which they are wanted."""
     topic = name.partition(":")[0]
-    if others:
-        raise UsageError(f"{path}: {topic} is in two frames, {frame!r} and {others[0]!r}")
-    times = np.array([row[0] for _, row in seen])
-    back = np.flatnonzero(np.diff(times) < -_LATE)
-    if back.size:
-        before, after = times[back[0]], times[back[0] + 1]
-        raise UsageError(
-            f"{path}: the clock of {topic} goes back from {before:.2f} to {after:.2f} s: is it of several drives? Cut "
-            "it to one"
-        )
-    table = np.array([row for _, row in sorted({row[:4]: (row[0], row) for _, row in seen}.values())])
-    times, places, headings, speeds = table[:, 0], table[:, 1:4], table[:, 4], table[:, 5]
-    if map_frame is not None and frame != map_frame:
-        within = _known_frame(path, transforms, map_frame)
-        turned = Rotation.from_rotvec(np.outer(np.nan_to_num(headings), [0.0, 0.0, 1.0]))
-        poses = transforms.poses(frame, within, times).on(Poses(places, turned))
-        places, headings, frame = poses.places, np.where(np.isnan(headings), np.nan, poses.headings), within
-    return Track(times, places[:, :2], f"{path}, {name}", _complete(headings), _complete(speeds), name, frame=frame)
+    is_frame = topic in bag.trees and topic not in bag.rows
+    frames = list(dict.fromkeys(one.frame for one in rows))
+    if map_frame is not None:
+        within = _known(bag, topic if is_frame else tf, map_frame) if frames != [bare(map_frame)] else bare(map_frame)
+    else:
+        within = bag.trees[topic].root(frames[0]) if is_frame else frames[0]
+        if len(frames) > 1:
+            raise UsageError(f"{bag.where}: {topic} is in two frames, {frames[0]!r} and {frames[1]!r}")
+    stamps = np.array([one.stamp for one in rows], np.int64)
+    table = np.array([one[3:] for one in rows], np.float64)
+    places, headings, speeds = table[:, :3], table[:, 3], table[:, 4]
+    known, notes = np.ones(len(rows), bool), list[str]()
+    for frame in frames:
+        if frame == within:
+            continue
+        tree = bag.trees[topic if is_frame else tf]
+        chosen = np.flatnonzero([one.frame == frame for one in rows])
+        at = At(stamps[chosen], np.array([rows[index].logged for index in chosen.tolist()], np.int64))
+        tree.notes.clear()
+        poses, at_all = tree.poses(frame, within, at)
+        turns = Rotation.from_rotvec(np.outer(np.nan_to_num(headings[chosen]), [0.0, 0.0, 1.0]))
+        found = poses.on(Poses(places[chosen], turns))
+        headings[chosen] = np.where(np.isnan(headings[chosen]), np.nan, found.headings)
+        places[chosen], known[chosen] = found.places, at_all
+        notes += tree.notes
+    for note in notes:
+        damage.warn(f"{bag.where}, {name}: {note}")
+    lost = int((~known).sum())
+    if known.sum() < 2:
+        why = "; ".join(notes) or f"nothing says how {frames[0]!r} lies in {within!r}"
+        raise UsageError(f"{bag.where}, {name}: no place of it is known in {within!r}: {why}")
+    if lost:
+        notes.append(f"{lost} of {len(rows)} positions left out for it")
+        damage.warn(f"{bag.where}, {name}: {notes[-1]}")
+    return Track(
+        _seconds(stamps[known] - origin),
+        places[known, :2],
+        f"{bag.where}, {name}",
+        _complete(headings[known]),
+        _complete(speeds[known]),
+        name,
+        frame=within,
+        origin=origin / SECOND,
+        form="transforms" if is_frame else f"{bag.topics[topic]}" + (f", {how}" if how != _STAMPS else ""),
+        notes=tuple(notes),
+    )
+
+
+def _seconds(nanoseconds: IntArray) -> FloatArray:
+    return np.asarray(nanoseconds / SECOND)
 
 
 def _complete(values: FloatArray) -> FloatArray | None:
-    return None if np.isnan(values).any() else values
+    return None if not np.isfinite(values).all() else values
 
 
 # --- tables
@@ -274,12 +575,12 @@ def _complete(values: FloatArray) -> FloatArray | None:
 _FURTHER = ("heading", "speed")
 
 
-def table_tracks(path: Path, names: Collection[str] = ()) -> dict[str, Track]:
+def table_tracks(path: Path, names: Collection[str] = ()) -> dict[str, Track | Listed]:
     """Return objects of a csv table with the columns t, id, x, y, and perhaps heading and speed, by id.
 
     Args:
         path: the file.
-        names: ids of those to be read; empty: all that have more than one position.
+        names: ids of those to be read; empty: all, and of those that cannot be, why.
 
     Raises:
         UsageError: it cannot be read, has another layout, a value that is no number, or lacks one of them.
@@ -292,13 +593,19 @@ def table_tracks(path: Path, names: Collection[str] = ()) -> dict[str, Track]:
     if missing:
         known = listed(sorted(rows))
         raise UsageError(f"{path}: has no object {missing[0]!r} but {known}; name them by --car and --road-user")
-    found = {}
-    for name in names or (one for one, values in rows.items() if len(values) > 1):
+    found: dict[str, Track | Listed] = {}
+    for name in names or rows:
         table = np.array(sorted(rows[name]), np.float64)
         said = {key: _complete(table[:, 3 + place]) for place, key in enumerate(further)}
-        found[name] = Track(
-            table[:, 0], table[:, 1:3], f"{path}, {name}", said.get("heading"), said.get("speed"), name=name
-        )
+        where = f"{path}, {name}"
+        try:
+            found[name] = Track(
+                table[:, 0], table[:, 1:3], where, said.get("heading"), said.get("speed"), name, form="t, id, x, y"
+            )
+        except UsageError as error:
+            if name in names:
+                raise
+            found[name] = Listed(name, "t, id, x, y", len(table), table[:, 0], why=str(error).removeprefix(where)[2:])
     return found
 
 

@@ -1,17 +1,29 @@
-"""Frames of /tf and /tf_static (REP 105): where each lies in its parent over time, and so in any other frame."""
+"""Frames of /tf and /tf_static (REP 105): where one lies in another, by the rules of tf2.
+
+Each frame has samples of its own, each with its parent, so a frame may be attached elsewhere later. Between two samples
+of one parent places go in straight lines and turns by the shortest way; nothing is said before the first, after the
+last, or in a hole. Only frames between the two that are asked for are looked at. A transform that is no transform is
+dropped, as tf2 does. Times are whole nanoseconds, so the same recording at another time gives the same numbers.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
-from skd_sim.arrays import FloatArray
+from scipy.spatial.transform import Rotation
+from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.errors import UsageError
 
 _DEEPEST = 30  # frames above each other
-_HELD = 0.5  # s that a transform holds before its first and after its last stamp
+_SAME = 1e-3  # m, and rad, by which two fixed transforms may differ
+_UNIT = 0.01  # by which the length of a quaternion may be off 1, as in tf2
+_LEAP, _OFTEN = 0.05, 0.2  # m to and fro in a fifth of all samples: no single node publishes so
+_BRAKES = 12.0  # m/s², more than tyres give
+SECOND = 1e9  # ns
 
 
 class Poses(NamedTuple):
@@ -37,100 +49,239 @@ class Poses(NamedTuple):
         return Poses(-back.apply(self.places), back)
 
 
+class At(NamedTuple):
+    """When something is asked for, n each, ns: by the stamps, and by the recorder, which fixed frames go by."""
+
+    stamps: IntArray
+    logged: IntArray
+
+    def some(self, rows: IntArray) -> At:
+        """Return those with some indices."""
+        return At(self.stamps[rows], self.logged[rows])
+
+
+@dataclass
+class _Samples:
+    """What was said of where one frame lies.
+
+    Attributes:
+        moving: stamp and recorder's time (ns), parent, and x, y, z (m) with the quaternion x, y, z, w.
+        fixed: the same of /tf_static.
+    """
+
+    moving: list[tuple[int, int, str, tuple[float, ...]]] = field(default_factory=list)
+    fixed: list[tuple[int, int, str, tuple[float, ...]]] = field(default_factory=list)
+    dropped: int = 0
+
+    @property
+    def parents(self) -> list[str]:
+        """Every frame in which it lies at some time."""
+        return list(dict.fromkeys(one[2] for one in (*self.fixed, *self.moving)))
+
+
 class Transforms:
-    """Frames, each with its parent; filled message by message."""
+    """Frames with their parents; filled message by message.
 
-    def __init__(self, where: str) -> None:
-        """Begin without any frame; `where` is the recording, for messages."""
-        self._where = where
-        self._parents: dict[str, str] = {}
-        self._rows: dict[str, list[tuple[float, ...]]] = {}
-        self._static: set[str] = set()
+    Attributes:
+        notes: what is to be said of the transforms that were used, in the order found.
+    """
 
-    def add(self, parent: str, child: str, row: tuple[float, ...], *, static: bool) -> None:
+    def __init__(self, where: str, longest_gap: float) -> None:
+        """Begin without any frame.
+
+        Args:
+            where: the recording, for messages.
+            longest_gap: time between two samples, s, beyond which nothing is said between them.
+        """
+        self.notes: dict[str, None] = {}
+        self._where, self._longest = where, round(SECOND * longest_gap)
+        self._samples: dict[str, _Samples] = {}
+
+    def add(self, parent: str, child: str, stamp: int, logged: int, row: tuple[float, ...], *, fixed: bool) -> None:
         """Add where a frame lies in its parent.
 
         Args:
-            parent: name of the parent.
+            parent: name of the parent; a leading slash counts for nothing.
             child: name of the frame.
-            row: time, s; x, y, z, m; quaternion x, y, z, w.
-            static: whether it lies so all the time.
-
-        Raises:
-            UsageError: the frame has another parent already, or the numbers are no transform.
+            stamp: when it lies there, ns.
+            logged: when that was recorded, ns.
+            row: x, y, z, m; quaternion x, y, z, w.
+            fixed: whether it lies so from then on.
         """
-        if self._parents.setdefault(child, parent) != parent:
-            raise UsageError(
-                f"{self._where}: frame {child!r} lies in {self._parents[child]!r} and in {parent!r}: two trees"
-            )
-        if not all(map(math.isfinite, row)) or abs(math.hypot(*row[4:]) - 1.0) > 0.01:
-            raise UsageError(f"{self._where}: frame {child!r} has a transform that is none")
-        self._rows.setdefault(child, []).append(row)
-        if static:
-            self._static.add(child)
-
-    def knows(self, frame: str) -> bool:
-        """Return whether a frame is in the tree."""
-        return frame in self._parents or frame in self._parents.values()
+        known = self._samples.setdefault(bare(child), _Samples())
+        if not all(map(math.isfinite, row)) or abs(math.hypot(*row[3:]) - 1.0) > _UNIT or bare(parent) == bare(child):
+            known.dropped += 1
+        else:
+            (known.fixed if fixed else known.moving).append((stamp, logged, bare(parent), row))
 
     @property
     def frames(self) -> list[str]:
-        """Names of all frames that lie in another, in the order in which they were first seen."""
-        return list(self._parents)
+        """Names of all frames, in the order in which they were first said."""
+        return list(dict.fromkeys(one for child, said in self._samples.items() for one in (*said.parents, child)))
+
+    def summary(self) -> Iterator[tuple[str, str, bool, FloatArray]]:
+        """Yield each frame that lies in another: its name, its parents, whether it moves, and its stamps, s."""
+        for child, said in self._samples.items():
+            stamps = sorted({one[0] for one in said.moving or said.fixed})
+            yield child, ", ".join(said.parents), bool(said.moving), np.array(stamps, np.float64) / SECOND
 
     def root(self, frame: str) -> str:
         """Return the highest frame above one."""
         return self._above(frame)[-1]
 
-    def stamps(self, frame: str) -> FloatArray:
-        """Return the times at which a frame, or else the next moving one above it, has a transform, s.
+    def times(self, frame: str, within: str) -> At:
+        """Return when a frame, or else the next moving one on the way to another, is said to lie somewhere.
 
         Raises:
-            UsageError: all of them are static.
+            UsageError: all of them are fixed, or nothing joins the two.
         """
-        for one in self._above(frame)[:-1]:
-            if one not in self._static:
-                return self._table(one)[:, 0]
-        raise UsageError(f"{self._where}: frame {frame!r} does not move: all above it is fixed")
+        common = self._common(frame, within)
+        for end in (frame, within):
+            for one in self._above(end):
+                if one == common:
+                    break
+                said = self._samples[one]
+                if said.moving and not said.fixed:
+                    found = {stamp: logged for stamp, logged, _, _ in sorted(said.moving, key=lambda each: each[1])}
+                    stamps = np.array(sorted(found), np.int64)
+                    return At(stamps, np.array([found[stamp] for stamp in stamps.tolist()], np.int64))
+        raise UsageError(f"{self._where}: frame {frame!r} does not move in {within!r}: all between them is fixed")
 
-    def poses(self, frame: str, within: str, times: FloatArray) -> Poses:
-        """Return where a frame lies in another at some times (s).
+    def poses(self, frame: str, within: str, at: At) -> tuple[Poses, BoolArray]:
+        """Return where a frame lies in another at some times, and at which of them that is known.
 
         Raises:
-            UsageError: they are in two trees, or a transform is not known at one of these times.
+            UsageError: nothing joins the two, or what joins them is said in two ways.
         """
-        if self.root(frame) != self.root(within):
-            raise UsageError(f"{self._where}: nothing says how {frame!r} lies in {within!r}")
-        return self._in_root(within, times).inverse.on(self._in_root(frame, times))
+        common = self._common(frame, within)
+        below, known = self._up(frame, common, at)
+        above, also = self._up(within, common, at)
+        return above.inverse.on(below), known & also
 
     def _above(self, frame: str) -> list[str]:
+        """Return a frame and those above it, nearest first."""
         found = [frame]
-        while found[-1] in self._parents:
-            found.append(self._parents[found[-1]])
-            if len(found) > _DEEPEST:
-                raise UsageError(f"{self._where}: frames lie in each other in a circle, or in more than {_DEEPEST}")
+        for one in found:
+            found += [up for up in (self._samples[one].parents if one in self._samples else ()) if up not in found]
         return found
 
-    def _in_root(self, frame: str, times: FloatArray) -> Poses:
-        found = Poses(np.zeros((len(times), 3)), Rotation.identity(len(times)))
-        for one in self._above(frame)[:-1]:
-            found = self._at(one, times).on(found)
-        return found
+    def _common(self, frame: str, within: str) -> str:
+        above = self._above(within)
+        common = next((one for one in self._above(frame) if one in above), None)
+        if common is None or not {frame, within} <= {*self.frames, common}:
+            raise UsageError(f"{self._where}: nothing says how {frame!r} lies in {within!r}")
+        return common
 
-    def _table(self, frame: str) -> FloatArray:
-        """Return the rows of a frame by time, the last of each time."""
-        return np.array(sorted({row[0]: row for row in self._rows[frame]}.values()), np.float64)
+    def _up(self, frame: str, top: str, at: At, depth: int = 0) -> tuple[Poses, BoolArray]:
+        """Return where a frame lies in one above it, and when that is known."""
+        count = len(at.stamps)
+        places, turns, known = np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)), np.zeros(count, bool)
+        if frame == top:
+            return Poses(places, Rotation.from_quat(turns)), ~known
+        if depth > _DEEPEST:
+            raise UsageError(f"{self._where}: frames lie in each other in a circle, or in more than {_DEEPEST}")
+        for parent in self._samples[frame].parents if frame in self._samples else ():
+            rows, here = self._sampled(frame, parent, at)
+            if rows.size:
+                above, also = self._up(parent, top, at.some(rows), depth + 1)
+                found = above.on(here)
+                places[rows], turns[rows], known[rows] = found.places, found.turns.as_quat(), also
+        return Poses(places, Rotation.from_quat(turns)), known
 
-    def _at(self, frame: str, times: FloatArray) -> Poses:
-        rows, is_static = self._table(frame), frame in self._static
-        if not is_static and (times[0] < rows[0, 0] - _HELD or times[-1] > rows[-1, 0] + _HELD):
+    def _sampled(self, frame: str, parent: str, at: At) -> tuple[IntArray, Poses]:
+        """Return at which times (as indices) a frame is known to lie in a parent, and where it lies then."""
+        said = self._samples[frame]
+        if said.dropped:
+            self.notes[f"{said.dropped} transforms of {frame!r} are no finite numbers or no turns: left out"] = None
+        if said.fixed:
+            return self._fixed(frame, parent, at)
+        by_stamp = {one[0]: one for one in sorted(said.moving, key=lambda each: each[1])}
+        samples = [by_stamp[stamp] for stamp in sorted(by_stamp)]
+        stamps, rows = np.array([one[0] for one in samples], np.int64), np.array([one[3] for one in samples])
+        ours = np.array([one[2] == parent for one in samples])
+        self._refuse_two(frame, stamps, rows[:, :3], ours)
+        before = np.clip(np.searchsorted(stamps, at.stamps, side="right") - 1, 0, len(stamps) - 1)
+        exact = stamps[before] == at.stamps
+        after = np.where(exact, before, np.minimum(before + 1, len(stamps) - 1))
+        step = stamps[after] - stamps[before]
+        inside = exact | ((at.stamps > stamps[0]) & (at.stamps < stamps[-1]))
+        known = np.flatnonzero(inside & (step <= self._longest) & ours[before] & ours[after])
+        self._note_holes(frame, parent, stamps, at.stamps, inside & (step > self._longest), before)
+        first, last = rows[before[known]], rows[after[known]]
+        share = ((at.stamps[known] - stamps[before[known]]) / np.maximum(step[known], 1))[:, None]
+        turns = Rotation.from_quat(first[:, 3:])
+        turned = turns * Rotation.from_rotvec(share * (turns.inv() * Rotation.from_quat(last[:, 3:])).as_rotvec())
+        return known, Poses(first[:, :3] + share * (last[:, :3] - first[:, :3]), turned)
+
+    def _note_holes(
+        self, frame: str, parent: str, stamps: IntArray, asked: IntArray, hole: BoolArray, before: IntArray
+    ) -> None:
+        """Take note of when nothing is said, as far as it is asked for."""
+        spans = [(stamps[one], stamps[one + 1]) for one in np.unique(before[hole]).tolist()]
+        if asked.size and asked[0] < stamps[0]:
+            spans.insert(0, (asked[0], stamps[0]))
+        if asked.size and asked[-1] > stamps[-1]:
+            spans.append((stamps[-1], asked[-1]))
+        for begin, end in spans:
+            span = f"from {begin / SECOND:.2f} to {end / SECOND:.2f} s"
+            self.notes[f"nothing says how {frame!r} lies in {parent!r} {span}"] = None
+
+    def _fixed(self, frame: str, parent: str, at: At) -> tuple[IntArray, Poses]:
+        """Return the same of a fixed frame: as it was last said to lie when that was recorded, from the first on."""
+        said = self._samples[frame]
+        samples = sorted(said.fixed, key=lambda each: each[1])
+        rows = np.array([one[3] for one in samples])
+        if any(_apart(one[3], samples[0][3]) > _SAME or one[2] != samples[0][2] for one in said.moving):
+            raise UsageError(f"{self._where}: frame {frame!r} is said to be fixed (/tf_static) and to move (/tf)")
+        worst = max(samples, key=lambda one: _apart(one[3], samples[0][3]))
+        if (apart := _apart(worst[3], samples[0][3])) > _SAME:
+            self.notes[
+                f"fixed frame {frame!r} is said to lie in two ways in {parent!r}, {apart:.3g} m or rad apart (the "
+                f"second at {worst[1] / SECOND:.2f} s by the recorder): each counts from when it was said"
+            ] = None
+        logged = np.array([one[1] for one in samples], np.int64)
+        chosen = np.maximum(np.searchsorted(logged, at.logged, side="right") - 1, 0)
+        known = np.flatnonzero(np.array([one[2] == parent for one in samples])[chosen])
+        found = rows[chosen[known]].reshape(-1, 7)
+        return known, Poses(found[:, :3], Rotation.from_quat(found[:, 3:]))
+
+    def _refuse_two(self, frame: str, stamps: IntArray, places: FloatArray, ours: BoolArray) -> None:
+        """Refuse a frame that leaps to and fro, or is in two places at once: two nodes publish it."""
+        said: dict[tuple[int, str], tuple[float, ...]] = {}
+        twice = [
+            math.dist(said.setdefault((stamp, parent), row)[:3], row[:3])
+            for stamp, _, parent, row in self._samples[frame].moving
+        ]
+        off = zigzag((stamps[ours] - stamps[0]) / SECOND, places[ours])
+        leaps = np.append(off[off > _LEAP], [one for one in twice if one > _LEAP])
+        if len(leaps) > _OFTEN * len(stamps) and len(stamps) >= 5:
             raise UsageError(
-                f"{self._where}: frame {frame!r} has transforms from {rows[0, 0]:.2f} to {rows[-1, 0]:.2f} s, none at "
-                f"{times[0]:.2f} to {times[-1]:.2f} s"
+                f"{self._where}: frame {frame!r} leaps to and fro by {np.median(leaps):.2g} m ({len(leaps)} of "
+                f"{len(twice)} transforms): do two nodes publish it?"
             )
-        if is_static or len(rows) == 1:
-            same = np.tile(rows[-1], (len(times), 1))
-            return Poses(same[:, 1:4], Rotation.from_quat(same[:, 4:]))
-        held = np.clip(times, rows[0, 0], rows[-1, 0])
-        places = np.column_stack([np.interp(held, rows[:, 0], column) for column in rows[:, 1:4].T])
-        return Poses(places, Slerp(rows[:, 0], Rotation.from_quat(rows[:, 4:]))(held))
+
+
+def bare(frame: str) -> str:
+    """Return the name of a frame as tf2 has it: without a leading slash."""
+    return frame.lstrip("/")
+
+
+def zigzag(times: FloatArray, places: FloatArray) -> FloatArray:
+    """Return how far each place but the ends is off the line between its neighbours, beyond what brakes do, m.
+
+    Args:
+        times: n, s, increasing.
+        places: n × 2 or n × 3, m.
+    """
+    if len(times) < 3:
+        return np.zeros(0)
+    lasting = times[2:] - times[:-2]
+    share = ((times[1:-1] - times[:-2]) / lasting)[:, None]
+    off = np.linalg.norm(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:], axis=1)
+    return np.asarray(off - 0.125 * _BRAKES * lasting**2)
+
+
+def _apart(one: tuple[float, ...], other: tuple[float, ...]) -> float:
+    """Return how far two transforms are apart: the larger of m and rad."""
+    turned = 2.0 * math.acos(min(1.0, abs(sum(a * b for a, b in zip(one[3:], other[3:], strict=True)))))
+    return max(math.dist(one[:3], other[:3]), turned)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
-from skd_evaluator.bags.mcap_file import complete, typestore
+from skd_evaluator.bags.messages import complete, typestore
 from skd_evaluator.version import version
 
 _BAG_VERSION = 9  # the metadata format of ROS 2 Jazzy

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.markup import escape
 from skd_adversary.safe_trajectories.recordings import duplicate_of, in_car_frame, repeated
 from skd_adversary.safe_trajectories.sources import safe_trajectory
 from skd_sim.arrays import FloatArray
@@ -21,18 +22,20 @@ from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.bags.tracks import RecordingFrame, Track
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.tracks import GAP, Listed, RecordingFrame, Track
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.exchange.options import BY_CAR
-from skd_evaluator.extensions.exchange.readers import ImportRequest, TrackSource, files_in, read_sources
+from skd_evaluator.extensions.exchange.readers import ImportRequest, TrackSource, files_in, listing, read_sources
 from skd_evaluator.extensions.exchange.scene import IMPORT
+from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.version import version
 
 SAFE = "safe"
 """Folder of the trajectories, in that of the result."""
 _SHOWN = 20
-_GAP = 1.5  # times the usual step, from which on a step is a gap
+_ON_FOOT = 12.5  # m/s, faster than anybody runs
 _LEAST_DRIVE = 0.5  # m that a car moves, or it has no direction
 _FARTHEST_ASIDE = 2.0  # m
 
@@ -45,9 +48,22 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.frame != BY_CAR:
         x, y, degrees = arguments.frame
         frame = RecordingFrame(x, y, math.radians(degrees))
-    request = ImportRequest(arguments.road_user, arguments.car, arguments.kind, frame is None, arguments.map_frame)
+    request = ImportRequest(
+        arguments.road_user,
+        arguments.car,
+        arguments.kind,
+        frame is None,
+        arguments.map_frame,
+        arguments.tf_topic,
+        arguments.longest_gap,
+        arguments.begin,
+        arguments.end,
+    )
+    damage = Damage(skip=True)
+    if arguments.list:
+        return _list(arguments, damage)
     out = result_folder(arguments)
-    found, left_out = _imported(arguments, request, frame, scenario)
+    found, left_out = _imported(arguments, request, frame, scenario, damage)
     if not found:
         path, name, why = left_out[0]
         more = f" (and {len(left_out) - 1} more are left out)" if len(left_out) > 1 else ""
@@ -59,6 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         "scenario": arguments.scenario,
         "files": [one.entry(f"{SAFE}/{name}") for one, name in zip(found, names, strict=True)],
         "left_out": [{"source": str(path), "road_user": name, "why": why} for path, name, why in left_out],
+        "warnings": damage.lines,
     }
 
     def write(folder: Path) -> None:
@@ -71,8 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(content)
     else:
+        _say(damage)
         for one, name in list(zip(found, names, strict=True))[:_SHOWN]:
-            print(f"{name}: {one.source.format}, {one.source.found.name}: {one.quality.text}")
+            print(f"{name}: {one.source.format}, {one.track.name}: {one.quality.text}")
         for path, who, why in left_out[:_SHOWN]:
             print(f"skd import: warning: {path}, {who}, left out: {why}", file=sys.stderr)
         if max(len(found), len(left_out)) > _SHOWN:
@@ -85,26 +103,74 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if problem else 0
 
 
+def _say(damage: Damage) -> None:
+    for line in damage.lines:
+        print(f"skd import: warning: {line}", file=sys.stderr)
+
+
+def _list(arguments: argparse.Namespace, damage: Damage) -> int:
+    """Say what files hold; return the exit code."""
+    found = {}
+    for files in files_in(arguments.paths, damage)[0]:
+        found[str(files[0] if len(files) == 1 else files[0].parent)] = listing(files, damage, arguments.topics)
+    if arguments.json:
+        print_json(
+            {
+                "files": {path: [one.as_dict() for one in rows] for path, rows in found.items()},
+                "warnings": damage.lines,
+            }
+        )
+        return 0
+    for path, rows in found.items():
+        heads = ("who", "form", "positions", "a second", "gaps", "from", "to", "frame", "not read because")
+        print_table(narrow_table(path, heads, [_cells(one) for one in rows]))
+    _say(damage)
+    return 0
+
+
+def _cells(one: Listed) -> list[str]:
+    """Return the row of an object in the table of what a file holds."""
+    said = one.as_dict()
+    gaps = "" if said["rate"] is None else f"{said['gaps']} (step ≤ {said['longest_step']:.2f} s)"
+    rate = "" if said["rate"] is None else f"{said['rate']:.3g}"
+    ends = ("" if said[key] is None else f"{said[key]:.2f}" for key in ("begins", "ends"))
+    return [
+        *map(escape, (one.name, one.form)),
+        str(one.positions),
+        rate,
+        gaps,
+        *ends,
+        escape(one.frame),
+        escape(one.why),
+    ]
+
+
 def _imported(
-    arguments: argparse.Namespace, request: ImportRequest, frame: RecordingFrame | None, scenario: Scenario | None
+    arguments: argparse.Namespace,
+    request: ImportRequest,
+    frame: RecordingFrame | None,
+    scenario: Scenario | None,
+    damage: Damage,
 ) -> tuple[list[ImportedTrajectory], list[tuple[Path, str, str]]]:
     """Return the trajectories that can be used, and of the others file, name and why they cannot."""
     found: list[ImportedTrajectory] = []
     compared: list[FloatArray] = []
-    files, exported = files_in(arguments.paths)
+    files, exported = files_in(arguments.paths, damage)
     left_out = [
         (path, "its adversary", "a kamikaze or a run along φ, which is no safe trajectory") for path in exported
     ]
-    for path in files:
-        for source in read_sources(path, request):
+    for one_file in files:
+        for source in read_sources(one_file, request, damage):
             try:
                 one = trajectory_of(source, frame, arguments.longest_gap, scenario)
                 compared.append(
                     np.column_stack([one.places, one.times]) if scenario is None else _at_ticks(one, scenario)
                 )
                 found.append(one)
+                for note in one.track.notes:
+                    damage.warn(f"{one.track.where}: {note}")
             except UnusableError as error:
-                left_out.append((path, source.found.name, str(error)))
+                left_out.append((source.path, source.found.name, str(error)))
     again = dict(repeated(compared, moved=False))  # drawn ones may be the same; --safe refuses them
     for index, first in again.items():
         source = found[index].source
@@ -176,19 +242,21 @@ class ImportedTrajectory:
 
     Attributes:
         source: where it comes from.
+        track: as it was found.
         times: n times from 0 on, s.
         places: n × 2, m, in the frame `map`.
         quality: what was seen, and done.
     """
 
     source: TrackSource
+    track: Track
     times: FloatArray
     places: FloatArray
     quality: TrackQuality
 
     def entry(self, file: str) -> dict[str, Any]:
         """Return its entry in import.json."""
-        found = self.source.found
+        found = self.track
         return {
             "file": file,
             "source": str(self.source.path),
@@ -220,14 +288,14 @@ def trajectory_of(
         UnusableError: it jumps, or has a longer gap.
     """
     track = source.found
+    if isinstance(track, Listed):
+        raise UnusableError(track.why)
+    if why := track.jump or track.gap(longest_gap) or _too_fast(track):
+        raise UnusableError(why)
     steps = np.diff(track.times)
     usual = float(np.median(steps))
-    gaps = steps[steps > _GAP * usual]
-    if gaps.size and gaps.max() > longest_gap:
-        raise UnusableError(f"a gap of {gaps.max():.2f} s, longer than --longest-gap {longest_gap:g} s")
-    if track.jump:
-        raise UnusableError(track.jump)
-    placed, said = _in_map(source, frame, 1.0 if scenario is None else scenario.end.crossing)
+    gaps = steps[steps > GAP * usual] if not track.drawn else steps[:0]
+    placed, said = _in_map(source, track, frame, 1.0 if scenario is None else scenario.end.crossing)
     begin, end, cut = 0, len(track.times), ""
     if scenario is not None and track.times[-1] - track.times[0] > scenario.horizon:
         begin, end, cut = _around_crossing(scenario, track.times, placed)
@@ -242,16 +310,25 @@ def trajectory_of(
         track.frame,
         said,
         cut,
-        float(times[0]),
+        track.origin + float(times[0]),
     )
     if len(times) < 2:
         raise UnusableError("nothing of it is near the crossing within the scenario's horizon")
-    return ImportedTrajectory(source, times - times[0], placed[begin:end], quality)
+    return ImportedTrajectory(source, track, times - times[0], placed[begin:end], quality)
 
 
-def _in_map(source: TrackSource, frame: RecordingFrame | None, crossing: float) -> tuple[FloatArray, str]:
+def _too_fast(track: Track) -> str:
+    """Return how a pedestrian goes for whole seconds as nobody can, in words; empty where not."""
+    if "pedestrian" not in track.kind.lower() or track.times[-1] - track.times[0] < 1.0:
+        return ""
+    at = track.times[track.times <= track.times[-1] - 1.0]
+    later, now = (np.column_stack([np.interp(t, track.times, c) for c in track.places.T]) for t in (at + 1.0, at))
+    fastest = float(np.hypot(*(later - now).T).max())
+    return f"goes {fastest:.3g} m in a second on foot: are positions in m?" if fastest > _ON_FOOT else ""
+
+
+def _in_map(source: TrackSource, track: Track, frame: RecordingFrame | None, crossing: float) -> tuple[FloatArray, str]:
     """Return positions in the frame `map`, n × 2, m, and what was done."""
-    track = source.found
     if frame is not None:
         if frame == RecordingFrame():
             return track.places, "in the file's own frame"
@@ -290,17 +367,29 @@ def by_car(car: Track, user: Track, crossing: float) -> tuple[FloatArray, str]:
 def _around_crossing(scenario: Scenario, times: FloatArray, places: FloatArray) -> tuple[int, int, str]:
     """Return which positions are within half of the horizon of when the lane's middle is crossed, and what was cut.
 
-    A way that does not cross is cut around where it comes nearest to the middle.
+    That is the first crossing in the scenario's direction; what goes to and from another crossing is no part of it. A
+    way that does not cross so is cut around where it comes nearest to the middle.
     """
     right = right_and_along(scenario.road.line, np.ascontiguousarray(places))[:, 0]
-    crosses = np.flatnonzero(np.diff(np.sign(right)) != 0)
-    middle = times[int(crosses[0] if crosses.size else np.argmin(np.abs(right)))]
-    half = 0.5 * scenario.horizon
-    low = min(max(middle - half, times[0]), times[-1] - scenario.horizon)
+    side = np.sign(right)
+    every = np.flatnonzero((side[1:] != side[:-1]) & (side[1:] != 0.0))
+    ours = [int(one) for one in every if side[one + 1] == (1.0 if scenario.end.crossing > 0.0 else -1.0)]
+    chosen = ours[0] if ours else int(np.argmin(np.abs(right)))
+    before = max((int(one) for one in every if one < chosen), default=None)
+    behind = min((int(one) for one in every if one > chosen), default=None)
+    first = 0 if before is None else before + 1 + int(np.argmax(np.abs(right[before + 1 : chosen + 1])))
+    last = len(times) - 1 if behind is None else chosen + 1 + int(np.argmax(np.abs(right[chosen + 1 : behind + 1])))
+    middle, half = times[chosen], 0.5 * scenario.horizon
+    low = min(max(middle - half, times[first]), max(times[last] - scenario.horizon, times[first]))
     begin = int(np.searchsorted(times, low - 1e-9))
     end = int(np.searchsorted(times, times[begin] + scenario.horizon + 1e-9, side="right"))
-    before, behind = times[begin] - times[0], times[-1] - times[end - 1]
-    return begin, end, f"cut to the horizon: {before:.2f} s before and {behind:.2f} s after left out"
+    end = min(end, last + 1)
+    lost = times[begin] - times[0], times[-1] - times[end - 1]
+    said = f"cut to the horizon: {lost[0]:.2f} s before and {lost[1]:.2f} s after left out"
+    if len(every) > 1 and ours:
+        towards = "east" if scenario.end.crossing > 0.0 else "west"
+        said += f"; crosses {len(every)} times, taken is the first {towards}wards, at {middle - times[0]:.2f} s"
+    return begin, end, said
 
 
 def _at_ticks(one: ImportedTrajectory, scenario: Scenario) -> FloatArray:

@@ -9,7 +9,7 @@ from skd_evaluator.cli.arguments import add_count, add_output_arguments, frame_p
 
 EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
 """Names of the formats that results go out in; what they are stands in `extensions/exchange/exports.py`."""
-LONGEST_GAP = 0.5  # s
+LONGEST_GAP = 0.5  # s, as `bags.tracks` has it
 
 
 def add_export(commands: Any) -> None:
@@ -55,9 +55,9 @@ def add_import(commands: Any) -> None:
         "import",
         help="make safe trajectories of files of others: OpenSCENARIO, OSI, CommonRoad, tracked data, bags",
         description="Take a road user's way out of files of others, look at its rate, gaps and frame, and write "
-        "it as csv that --safe reads. Read are OpenSCENARIO XML (polylines with times), ASAM OSI ground truth (MCAP), "
-        "CommonRoad XML, csv (t, x, y; t, id, x, y; or the layout of inD and rounD), bags of ROS 2 (Odometry, poses, "
-        "/tf, Detection3DArray), and folders of such files, as skd export writes them.",
+        "it as csv that --safe reads. Read are OpenSCENARIO XML (trajectories), ASAM OSI ground truth (MCAP, .osi), "
+        "CommonRoad XML, csv (t, x, y; t, id, x, y; or the layout of inD and rounD), recordings of ROS (MCAP, SQLite, "
+        "ROS 1; Odometry, poses, /tf, Detection3DArray), and folders of such files, as skd export writes them.",
     )
     taken.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH", help="a file, a bag's folder, or a folder of files"
@@ -92,6 +92,12 @@ def add_import(commands: Any) -> None:
         help="frame of a bag in which ways are taken; objects in other frames are brought there by /tf and /tf_static",
     )
     where.add_argument(
+        "--tf-topic",
+        default="/tf",
+        metavar="TOPIC",
+        help="topic of a bag's transforms, as /car1/tf; those that are fixed are on TOPIC_static (default: /tf)",
+    )
+    where.add_argument(
         "--scenario",
         metavar="NAME",
         help="also check each way as skd assess --safe does with this scenario, and leave out what cannot be used; a "
@@ -102,8 +108,19 @@ def add_import(commands: Any) -> None:
         type=real_number(0.0, 60.0, above=True),
         default=LONGEST_GAP,
         metavar="S",
-        help="a longer gap in a track is not filled: the way is left out (default: %(default)s)",
+        help="a longer gap in a track, or in transforms that it needs, is not filled: the way is left out (default: "
+        "%(default)s)",
     )
+    which = taken.add_argument_group("what of a file")
+    which.add_argument(
+        "--list", action="store_true", help="only say what the files hold: who, in which form, rate, gaps, times, frame"
+    )
+    which.add_argument(
+        "--topics", nargs="+", default=(), metavar="TOPIC", help="with --list: only these topics of bags"
+    )
+    for option, name, what in (("--from", "begin", "before"), ("--to", "end", "after")):
+        help_ = f"nothing {what} this time on the file's clock, s, as --list says it"
+        which.add_argument(option, dest=name, type=real_number(-1e12, 1e12), metavar="S", help=help_)
     add_output_arguments(taken)
     taken.set_defaults(module="skd_evaluator.extensions.exchange.imports")
 

@@ -1,4 +1,4 @@
-"""ASAM OSI ground truth in MCAP: reads tracks of moving objects and writes episodes.
+"""ASAM OSI ground truth in MCAP, and in traces: reads tracks of moving objects and writes episodes.
 
 OSI's reference point of an object is the middle of its bounding box. Metadata of file and channel are those that the
 standard asks for or recommends ("OSI multi channel trace file format", OSI 3.8); so is the file's name. ASAM's own
@@ -8,6 +8,7 @@ libraries, the optional extra `exchange`, are imported when OSI is asked for.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,12 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import one_line
+from skd_sim.inputs.files import one_line, open_regular
 from skd_sim.scenario.road import ONCOMING
 
-from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
-from skd_evaluator.bags.tracks import Track, listed
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.messages import Condition, read_messages
+from skd_evaluator.bags.tracks import Listed, Track, listed
 from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, stretch
 
 HOW = "python -m pip install 'skd[exchange]'"
@@ -67,29 +69,28 @@ def _found(name: str) -> Any:
 
 
 SCHEMA = "osi3.GroundTruth"
+TRACE = ".osi"
+"""Ending of traces of one message after the other, each behind its length in four bytes."""
 _NANOSECONDS = 1e-9
 
 
-def read_osi(path: Path) -> list[Track]:
+def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
     """Return every moving object; one that SKD has exported bears its name there, any other its id.
 
+    Args:
+        path: an MCAP file, or a trace; one of sensor views has the ground truth in them.
+        damage: told what of the file is damaged; by default that is refused.
+
     Raises:
-        UsageError: the library is not installed, the file is damaged, a message is none of ground truth, or several
-            topics have some, whose ids need not be of the same objects.
+        UsageError: the library is not installed, a message is none of ground truth, or several topics have some, whose
+            ids need not be of the same objects.
     """
-    kind = osi_messages().GroundTruth
-    condition = Condition()
+    osi_messages()
+    damage = damage or Damage()
     rows: dict[int, list[tuple[float, float, float]]] = {}
     roles: dict[int, str] = {}
     kinds: dict[int, str] = {}
-    topics: dict[str, None] = {}
-    for received in read_messages(path, lambda _topic: True, condition):
-        if received.schema.name != SCHEMA:
-            continue
-        topics[received.channel.topic] = None
-        if len(topics) > 1:
-            raise UsageError(f"{path}: has ground truth on {listed(topics)}; give a file with one of them")
-        message = _parsed(kind, received, path)
+    for message in _trace(path, damage) if path.suffix.lower() == TRACE else _of_mcap(path, damage):
         time = message.timestamp.seconds + _NANOSECONDS * message.timestamp.nanos
         for one in message.moving_object:
             number = int(one.id.value)
@@ -97,25 +98,57 @@ def read_osi(path: Path) -> list[Track]:
             if number not in roles:
                 roles[number] = _role(one) or (EGO if message.host_vehicle_id.value == number else str(number))
                 kinds[number] = _kind(one)
-    if condition.damage:
-        raise UsageError(f"{path}: is damaged ({condition.damage[0]})")
     if not rows:
         raise UsageError(f"{path}: has no moving object in ground truth of OSI")
     if len(set(roles.values())) < len(roles):  # two that say they are the same
         roles = {number: str(number) for number in roles}
-    return [
-        Track.of_rows(states, f"{path}, {roles[number]}", roles[number], kinds[number])
-        for number, states in rows.items()
-        if len(states) >= 2
-    ]
+    found: list[Track | Listed] = []
+    for number, states in rows.items():
+        name, where = roles[number], f"{path}, {roles[number]}"
+        try:
+            found.append(Track.of_rows(states, where, name, kinds[number], "moving object"))
+        except UsageError as error:
+            times = np.array([one[0] for one in states])
+            found.append(Listed(name, "moving object", len(states), times, why=str(error).removeprefix(where)[2:]))
+    return found
 
 
-def _parsed(kind: Any, received: Received, path: Path) -> Any:
+def _of_mcap(path: Path, damage: Damage) -> Iterator[Any]:
+    """Yield the ground truth of an MCAP file."""
+    condition, topics = Condition(), dict[str, None]()
+    for received in read_messages(path, lambda _topic: True, condition):
+        if received.type == SCHEMA:
+            topics[received.topic] = None
+            if len(topics) > 1:
+                raise UsageError(f"{path}: has ground truth on {listed(topics)}; give a file with one of them")
+            yield _parsed(osi_messages().GroundTruth, received.data, path)
+    for what in condition.damage:
+        damage.leave_out(f"{path}: {what}; what is whole of it is read")
+
+
+def _trace(path: Path, damage: Damage) -> Iterator[Any]:
+    """Yield the ground truth of a trace: of its messages, or by its name of the sensor views in it."""
+    of_views = "_sv_" in path.name
+    kind = _found("osi3.osi_sensorview_pb2").SensorView if of_views else osi_messages().GroundTruth
+    with open_regular(path) as stream:
+        while prefix := stream.read(4):
+            length = int.from_bytes(prefix, "little")
+            data = stream.read(length)
+            if len(prefix) < 4 or len(data) < length:
+                damage.leave_out(f"{path}: it is cut short; what is whole of it is read")
+                return
+            message = _parsed(kind, data, path)
+            yield message.global_ground_truth if of_views else message
+
+
+def _parsed(kind: Any, data: bytes, path: Path) -> Any:
     try:
         message = kind()
-        message.ParseFromString(received.data)
+        message.ParseFromString(data)
     except Exception as error:  # google.protobuf's DecodeError, and whatever damaged bytes make it raise
-        raise UsageError(f"{path}: a message on {received.channel.topic} is no ground truth of OSI") from error
+        raise UsageError(
+            f"{path}: a message is no {kind.DESCRIPTOR.name} of OSI (traces of sensor views have _sv_ in their names)"
+        ) from error
     return message
 
 

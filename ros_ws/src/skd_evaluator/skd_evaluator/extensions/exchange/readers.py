@@ -1,14 +1,15 @@
-"""Finds tracks in files of others: OpenSCENARIO, CommonRoad, OSI, csv, inD and rounD, and bags of ROS 2.
+"""Finds tracks in files of others: OpenSCENARIO, CommonRoad, OSI, csv, inD and rounD, and recordings of ROS.
 
-The layout of inD (Bock et al. 2020) and rounD (Krajewski et al. 2020): NN_tracks.csv with trackId, frame, xCenter,
-yCenter (m) for each object and frame, NN_tracksMeta.csv with the class of each track, and NN_recordingMeta.csv with
-frameRate (1/s). Such files have millions of rows: of these only the requested tracks are kept.
+Each reader returns every object that a file has: its track, or why it is not read. The layout of inD (Bock et al. 2020)
+and rounD (Krajewski et al. 2020): NN_tracks.csv with trackId, frame, xCenter, yCenter (m) for each object and frame,
+NN_tracksMeta.csv with the class of each track, and NN_recordingMeta.csv with frameRate (1/s). Such files have millions
+of rows: of these only the requested tracks are kept.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -19,24 +20,30 @@ from skd_sim.inputs.files import finite_number, is_there, read_json, read_xml
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.world.episode import Mode
 
-from skd_evaluator.bags.checks import METADATA
-from skd_evaluator.bags.mcap_file import Condition, read_messages
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.files import STORAGES, find_recordings, is_recording, joined, name_of
+from skd_evaluator.bags.messages import Condition, read_messages
 from skd_evaluator.bags.read import ADVERSARY as ADVERSARY_TOPIC
 from skd_evaluator.bags.read import CAR as CAR_TOPIC
 from skd_evaluator.bags.tracks import (
+    LONGEST_GAP,
     TABLE_CAR,
     TABLE_OTHER,
+    TF,
+    Listed,
     Track,
+    bag_listing,
     bag_tracks,
     csv_rows,
     header_of,
     listed,
     table_tracks,
 )
-from skd_evaluator.extensions.exchange.osi import SCHEMA, read_osi
+from skd_evaluator.extensions.exchange.openscenario import OPENSCENARIO, STANDS, read_openscenario
+from skd_evaluator.extensions.exchange.osi import SCHEMA, TRACE, read_osi
 from skd_evaluator.extensions.exchange.scene import ADVERSARY, ADVERSARY_ID, EGO, EGO_ID, EXPORT
 
-_SUFFIXES = (".xosc", ".xml", ".csv", ".mcap")
+_SUFFIXES = (".xosc", ".xml", ".csv", TRACE)
 _OSI_NAME = re.compile(r"\d{8}T\d{6}Z?_[a-z]+_\d+_\d+_\d+_")
 
 
@@ -50,6 +57,10 @@ class ImportRequest:
         kind: kind of road user, where a file has many.
         needs_car: whether the car's track is needed.
         map_frame: frame in which tracks of bags are taken.
+        tf: topic of a bag's transforms.
+        longest_gap: time over which nothing is filled in, s.
+        begin: time on the file's clock before which nothing is taken, s; None: none.
+        end: the same at the end.
     """
 
     road_user: str | None = None
@@ -57,6 +68,10 @@ class ImportRequest:
     kind: str = "pedestrian"
     needs_car: bool = False
     map_frame: str | None = None
+    tf: str = TF
+    longest_gap: float = LONGEST_GAP
+    begin: float | None = None
+    end: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,47 +82,59 @@ class TrackSource:
         stem: name for its file, without ending.
         path: where it was found.
         format: what the file is.
-        found: the road user.
+        found: the road user: its track, or why there is none.
         car: the car; None where it is not needed.
     """
 
     stem: str
     path: Path
     format: str
-    found: Track
+    found: Track | Listed
     car: Track | None
 
 
-def files_in(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the files and folders of bags that hold tracks, of a folder those in it by name; and those left out.
+def files_in(paths: Sequence[Path], damage: Damage) -> tuple[list[list[Path]], list[Path]]:
+    """Return what holds tracks, each as its files (of one recording several), of a folder by name; and those left out.
 
     Of a folder that `skd export` has written only safe trajectories are taken, by its export.json.
+
+    Args:
+        paths: files, bags' folders, or folders of them.
+        damage: told what is missing.
 
     Raises:
         UsageError: a path is not there, or a folder has no such file.
     """
-    found: list[Path] = []
+    single: list[list[Path]] = []
+    recordings: list[Path] = []
     left_out: list[Path] = []
     for path in paths:
         if not is_there(path):
             raise UsageError(f"{path}: no such file or folder")
-        if not path.is_dir() or (path / METADATA).exists():
-            if not _is_safe(path):
-                raise UsageError(f"{path}: {EXPORT} beside it says that it is no safe trajectory; give one of its φ")
-            found.append(path)
-            continue
-        files = sorted(one for one in path.iterdir() if not one.name.startswith(".") and _has_tracks(one))
+        inside = path.is_dir() and not is_recording(path)
+        files = sorted(one for one in path.iterdir() if _has_tracks(one)) if inside else [path]
         if not files:
-            raise UsageError(f"{path}: no file in it ends in {', '.join(_SUFFIXES)}, and none is a bag's folder")
-        found += [one for one in files if _is_safe(one)]
-        left_out += [one for one in files if not _is_safe(one)]
-    return found, left_out
+            read = f"{', '.join(_SUFFIXES)}, or is a recording"
+            raise UsageError(f"{path}: no file in it ends in {read} (ros2 bag record, or skd export, makes some)")
+        for one in files:
+            if not _is_safe(one):
+                if not inside:
+                    raise UsageError(f"{one}: {EXPORT} beside it says that it is no safe trajectory; give one of its φ")
+                left_out.append(one)
+            elif one.is_dir():
+                single += find_recordings([one], damage)
+            elif is_recording(one):
+                recordings.append(one)
+            else:
+                single.append([one])
+    return [*joined(list(dict.fromkeys(recordings)), damage), *single], left_out
 
 
 def _has_tracks(path: Path) -> bool:
-    if path.is_dir():
-        return (path / METADATA).exists()
-    return path.suffix.lower() in _SUFFIXES and not path.name.endswith((_META, _RECORDING)) and path.is_file()
+    if path.name.startswith("."):
+        return False
+    is_table = path.suffix.lower() in _SUFFIXES and not path.name.endswith((_META, _RECORDING)) and path.is_file()
+    return is_table or is_recording(path)
 
 
 def _is_safe(path: Path) -> bool:
@@ -122,66 +149,132 @@ def _is_safe(path: Path) -> bool:
         raise UsageError(f"{export}: is not of skd export") from error
 
 
-def read_sources(path: Path, request: ImportRequest) -> list[TrackSource]:
-    """Return the requested tracks of a file or a bag's folder.
+def listing(files: Sequence[Path], damage: Damage, topics: Collection[str] = ()) -> list[Listed]:
+    """Return what a file, or the files of a recording, hold: everybody, whether read or not.
+
+    Args:
+        files: as `files_in` returns them.
+        damage: told what is left out.
+        topics: only these of a recording; empty: all.
+    """
+    if is_recording(files[0]) and not _is_osi(files[0]):
+        return bag_listing(files, damage, topics)
+    _, found, _ = _objects_in(files[0], ImportRequest(), damage, every=True)
+    return [Listed.of(one) if isinstance(one, Track) else one for one in found]
+
+
+def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage | None = None) -> list[TrackSource]:
+    """Return the requested tracks of a file, or of the files of one recording.
+
+    Args:
+        files: as `files_in` returns them.
+        request: whose tracks.
+        damage: told what is left out; by default that is refused.
 
     Raises:
         UsageError: it cannot be read, is of no known format, or lacks a requested track.
     """
-    suffix, usual = path.suffix.lower(), (EGO, ADVERSARY)
-    if path.is_dir() or suffix == ".mcap":
-        if not _is_osi(path):
-            return [_from_bag(path, request)]
-        kind, found = "OSI ground truth", read_osi(path)
-    elif suffix == ".csv":
-        kind, found = _read_table(path, request)
-        usual = TABLE_CAR, TABLE_OTHER
-        if request.road_user is None and any(one.kind for one in found):
-            if request.needs_car:
-                raise UsageError(f"{path}: --frame car needs one --road-user and one --car of its tracks")
-            return [TrackSource(f"{path.stem}_{one.name}", path, kind, one, None) for one in found]
-    else:
-        root = read_xml(path)
-        if root.tag == OPENSCENARIO:
-            kind, found = "OpenSCENARIO XML", read_openscenario(root, str(path))
-        elif root.tag == COMMONROAD:
-            kind, found = "CommonRoad XML", read_commonroad(root, str(path))
-            usual = str(EGO_ID), str(ADVERSARY_ID)
-        else:
-            raise UsageError(f"{path}: its root is {root.tag[:40]!r}; read are {OPENSCENARIO} and {COMMONROAD}")
+    path, damage = files[0], damage or Damage()
+    if is_recording(path) and not _is_osi(path):
+        return [_from_recording(files, request, damage)]
+    form, found, usual = _objects_in(path, request, damage)
+    if usual == (TABLE_CAR, TABLE_OTHER) and request.road_user is None and any(one.kind for one in _tracks(found)):
+        if request.needs_car:
+            raise UsageError(f"{path}: --frame car needs one --road-user and one --car of its tracks")
+        return [TrackSource(f"{path.stem}_{one.name}", path, form, _cut(one, request), None) for one in found]
     others = [one for one in found if one.name != usual[0]] if request.road_user is None else found
     user = _one_of(others, request.road_user, usual[1], "--road-user", path)
     car = _one_of(found, request.car or usual[0], usual[0], "--car", path) if request.needs_car else None
-    return [TrackSource(_OSI_NAME.sub("", path.stem), path, kind, user, car)]
+    stem = _OSI_NAME.sub("", path.stem)
+    return [
+        TrackSource(stem, path, form, user.cut(request.begin, request.end), car and car.cut(request.begin, request.end))
+    ]
 
 
-def _one_of(found: Sequence[Track], name: str | None, usual: str, option: str, path: Path) -> Track:
+def _tracks(found: Sequence[Track | Listed]) -> list[Track]:
+    return [one for one in found if isinstance(one, Track)]
+
+
+def _cut(one: Track | Listed, request: ImportRequest) -> Track | Listed:
+    """Return a track between the times of a request; what is not read stays as it is."""
+    if isinstance(one, Listed):
+        return one
+    return _read_or_why(one.name, one.form, lambda: one.cut(request.begin, request.end))
+
+
+def _read_or_why(name: str, form: str, read: Callable[[], Track], where: str = "") -> Track | Listed:
+    """Return a track, or why there is none."""
+    try:
+        return read()
+    except UsageError as error:
+        return Listed(name, form, 0, np.zeros(0), why=str(error).removeprefix(where).removeprefix(": "))
+
+
+def _objects_in(
+    path: Path, request: ImportRequest, damage: Damage, *, every: bool = False
+) -> tuple[str, list[Track | Listed], tuple[str, str]]:
+    """Return what a file is, everybody in it, and the usual names of car and road user."""
+    suffix, usual = path.suffix.lower(), (EGO, ADVERSARY)
+    if suffix == TRACE or is_recording(path):
+        return "OSI ground truth", read_osi(path, damage), usual
+    if suffix == ".csv":
+        form, found = _read_table(path, request, every=every)
+        return form, found, (TABLE_CAR, TABLE_OTHER)
+    if suffix not in (".xosc", ".xml"):
+        raise UsageError(f"{path}: is of no format that is read; files end in {', '.join((*_SUFFIXES, *STORAGES))}")
+    root = read_xml(path)
+    if root.tag == OPENSCENARIO:
+        return "OpenSCENARIO XML", read_openscenario(root, path), usual
+    if root.tag == COMMONROAD:
+        return "CommonRoad XML", read_commonroad(root, str(path)), (str(EGO_ID), str(ADVERSARY_ID))
+    raise UsageError(f"{path}: its root is {root.tag[:40]!r}; read are {OPENSCENARIO} and {COMMONROAD}")
+
+
+def _one_of(found: Sequence[Track | Listed], name: str | None, usual: str, option: str, path: Path) -> Track:
     """Return the track with a name; without one the usual one, else the only one there is."""
-    known = {one.name: one for one in found}
+    read = {one.name: one for one in _tracks(found)}
+    known = {one.name: one for one in found if name is not None or one.form != STANDS}
     if name is not None and name not in known:
-        raise UsageError(f"{path}: has no {name!r} that moves; it has {listed(known)}: name one by {option}")
-    if name is None and usual not in known and len(known) != 1:
-        raise UsageError(f"{path}: has {listed(known)}: name one by {option}")
-    return known.get(usual if name is None else name) or found[0]
+        raise UsageError(f"{path}: has no {name!r}; it has {listed(known)}: name one by {option}")
+    if name is None and usual not in known and len(read) != 1:
+        if not read and found:
+            why = "; ".join(
+                f"{one.name!r} ({one.form}): {one.why}" for one in list(found)[:3] if isinstance(one, Listed)
+            )
+            raise UsageError(f"{path}: has nobody whose track is read: {why}")
+        raise UsageError(f"{path}: has {listed(read)}: name one by {option}")
+    one = known.get(usual if name is None else name) or next(iter(read.values()))
+    if isinstance(one, Listed):
+        raise UsageError(f"{path}, {one.name}: {one.why}")
+    return one
 
 
 def _is_osi(path: Path) -> bool:
     """Return whether an MCAP file holds ground truth of OSI, by the type of its first message."""
-    if path.is_dir():
+    if path.is_dir() or path.suffix.lower() != ".mcap":
         return False
     first = next(read_messages(path, lambda _topic: True, Condition()), None)
-    return first is not None and first.schema.name == SCHEMA
+    return first is not None and first.type == SCHEMA
 
 
-def _from_bag(path: Path, request: ImportRequest) -> TrackSource:
+def _from_recording(files: Sequence[Path], request: ImportRequest, damage: Damage) -> TrackSource:
     user, car = request.road_user or ADVERSARY_TOPIC, request.car or CAR_TOPIC
-    tracks = bag_tracks(path, [user, car] if request.needs_car else [user], request.map_frame)
+    path = files[0] if len(files) == 1 else files[0].parent
+    tracks = bag_tracks(
+        files,
+        [user, car] if request.needs_car else [user],
+        request.map_frame,
+        longest_gap=request.longest_gap,
+        tf=request.tf,
+        damage=damage,
+    )
     if request.needs_car and tracks[user].frame != tracks[car].frame:
         raise UsageError(
             f"{path}: {user} in {tracks[user].frame!r} and {car} in {tracks[car].frame!r}: two frames; give "
             "--map-frame, if /tf was recorded"
         )
-    return TrackSource(path.stem, path, "a bag of ROS 2", tracks[user], tracks[car] if request.needs_car else None)
+    cut = {name: one.cut(request.begin, request.end) for name, one in tracks.items()}
+    return TrackSource(name_of(files), path, "a bag of ROS", cut[user], cut[car] if request.needs_car else None)
 
 
 # --- csv
@@ -190,29 +283,31 @@ _TRACKS, _META, _RECORDING = "_tracks.csv", "_tracksMeta.csv", "_recordingMeta.c
 _TIMED, _NAMED, _FRAMED = ("t", "x", "y"), ("t", "id", "x", "y"), ("trackId", "frame", "xCenter", "yCenter")
 
 
-def _read_table(path: Path, request: ImportRequest) -> tuple[str, list[Track]]:
+def _read_table(path: Path, request: ImportRequest, *, every: bool) -> tuple[str, list[Track | Listed]]:
     """Return what a csv file is, and its tracks."""
     names = [one for one in (request.road_user, request.car) if one] if request.road_user else []
     header = header_of(path)
     if set(_FRAMED) <= set(header):
-        return "tracks in the layout of inD and rounD", _levelx(path, names, request.kind)
+        return "tracks in the layout of inD and rounD", _levelx(path, names, None if every else request.kind)
     if set(_NAMED) <= set(header):
         return "a table of tracked objects", list(table_tracks(path, names).values())
     if set(_TIMED) <= set(header):
         rows = [row for _, _, row in csv_rows(path, _TIMED, ())]
-        return "a track (t, x, y)", [Track.of_rows(rows, f"{path}, {path.stem}", path.stem)]
+        return "a track (t, x, y)", [Track.of_rows(rows, f"{path}, {path.stem}", path.stem, form="t, x, y")]
     raise UsageError(
         f"{path}, line 1: the header must name {','.join(_TIMED)} or {','.join(_NAMED)} or {','.join(_FRAMED)}, got "
         f"{' '.join(','.join(header).split())[:160] or 'nothing'}"
     )
 
 
-def _levelx(path: Path, names: Collection[str], kind: str) -> list[Track]:
+def _levelx(path: Path, names: Collection[str], kind: str | None) -> list[Track | Listed]:
     rate, classes = _rate(path), _classes(path)
     chosen = set(names)
     if missing := sorted(chosen - set(classes)):
         raise UsageError(f"{path}: has no track {listed(missing)}; its tracks are {listed(classes)}")
-    if not chosen:
+    if not chosen and kind is None:
+        chosen = set(classes)
+    elif not chosen and kind is not None:
         word = ROAD_USERS.find(kind).names.get("levelxdata")
         chosen = {name for name, one in classes.items() if one == word}
         if not chosen:
@@ -221,20 +316,27 @@ def _levelx(path: Path, names: Collection[str], kind: str) -> list[Track]:
     for _, (name,), (frame, x, y) in csv_rows(path, ("frame", "xCenter", "yCenter"), ("trackId",)):
         if name in chosen:
             kept.setdefault(name, []).append((frame / rate, x, y))
-    found = [
-        Track.of_rows(rows, f"{path}, {name}", name, classes[name]) for name, rows in kept.items() if len(rows) > 1
-    ]
-    if not found:
+    if not kept:
         raise UsageError(f"{path}: has no row of track {listed(sorted(chosen))}")
-    return found
+    return [
+        _read_or_why(
+            name,
+            "frames",
+            lambda name=name, rows=rows: Track.of_rows(  # type: ignore[misc]
+                rows, f"{path}, {name}", name, classes[name], "frames"
+            ),
+            f"{path}, {name}",
+        )
+        for name, rows in kept.items()
+    ]
 
 
 def _rate(path: Path) -> float:
     """Return the frames per second of a recording."""
     beside = _beside(path, _RECORDING)
     for _, _, (rate,) in csv_rows(beside, ("frameRate",), ()):
-        if not 0.1 <= rate <= 1000.0:
-            raise UsageError(f"{beside}: frameRate must be from 0.1 to 1000 1/s, got {rate:g}")
+        if not 1.0 <= rate <= 1000.0:
+            raise UsageError(f"{beside}: frameRate must be from 1 to 1000 1/s, got {rate:g}")
         return rate
     raise UsageError(f"{beside}: has no row")
 
@@ -257,119 +359,49 @@ def _beside(path: Path, ending: str) -> Path:
     return found
 
 
-# --- XML
-
-OPENSCENARIO = "OpenSCENARIO"
-
-
-def read_openscenario(root: Element, where: str) -> list[Track]:
-    """Return every entity that follows a polyline with times, in a position of the world at each vertex.
-
-    Args:
-        root: root of the document.
-        where: name of the file, for messages.
-
-    Raises:
-        UsageError: an entity has two such ways, or begins within one, a vertex has no time or no place of the world, or
-            times are not those of the simulation.
-    """
-    found: dict[str, Track] = {}
-    kinds = {one.get("name", ""): _kind(one) for one in root.iter("ScenarioObject")}
-    for names, follow in _followed(root):
-        trajectory = next(iter(follow.iter("Trajectory")), None)
-        line = None if trajectory is None else trajectory.find("Shape/Polyline")
-        if line is None:
-            continue  # a clothoid, a spline, or one of a catalogue
-        for name in names:
-            here = f"{where}, {name}"
-            if name in found:
-                raise UsageError(f"{here}: follows two polylines; give a file in which it follows one")
-            rows = [_vertex(one, here) for one in line.findall("Vertex")]
-            scale, offset = _timing(follow, here)
-            if follow.get("initialDistanceOffset", "0").strip() not in ("0", "0.0"):
-                raise UsageError(f"{here}: begins within its polyline (initialDistanceOffset), whose times do not")
-            table = np.array(rows, np.float64).reshape(-1, 3) * [scale, 1.0, 1.0] + [offset, 0.0, 0.0]
-            found[name] = Track.of_rows(table, here, name, kinds.get(name, ""))
-    return list(found.values())
-
-
-def _followed(root: Element) -> Iterator[tuple[list[str], Element]]:
-    """Yield who follows which trajectory: by an event, or from the beginning."""
-    for group in root.iter("ManeuverGroup"):
-        names = [one.get("entityRef", "") for one in group.findall("Actors/EntityRef")]
-        for follow in group.iter("FollowTrajectoryAction"):
-            yield names, follow
-    for private in root.iter("Private"):
-        for follow in private.iter("FollowTrajectoryAction"):
-            yield [private.get("entityRef", "")], follow
-
-
-def _kind(entity: Element) -> str:
-    """Return what an entity says it is: its own word for SKD, else its category."""
-    for one in entity.iter("Property"):
-        if one.get("name") == "skd.kind":
-            return one.get("value", "")
-    for tag, key in (("Vehicle", "vehicleCategory"), ("Pedestrian", "pedestrianCategory")):
-        body = entity.find(tag)
-        if body is not None:
-            return body.get(key, "")
-    return ""
-
-
-def _vertex(vertex: Element, where: str) -> tuple[float, float, float]:
-    place = vertex.find("Position/WorldPosition")
-    if place is None:
-        raise UsageError(
-            f"{where}: a vertex is not at a WorldPosition, and nothing else says where it is without a map"
-        )
-    if vertex.get("time") is None:
-        raise UsageError(f"{where}: a vertex has no time, so nothing says when it is there")
-    time, x, y = (
-        finite_number(one.get(key, ""), f"{where}: {key} of a vertex")
-        for one, key in ((vertex, "time"), (place, "x"), (place, "y"))
-    )
-    return time, x, y
-
-
-def _timing(follow: Element, where: str) -> tuple[float, float]:
-    """Return scale and offset of a trajectory's times, s."""
-    timing = follow.find("TimeReference/Timing")
-    if timing is None:
-        raise UsageError(f"{where}: its polyline is followed without times (TimeReference), so nothing says when")
-    scale, offset = (finite_number(timing.get(key, ""), f"{where}: {key} of Timing") for key in ("scale", "offset"))
-    if not 1e-6 < scale < 1e6:
-        raise UsageError(f"{where}: scale of Timing must be above 0, got {scale:g}")
-    return scale, offset
-
+# --- CommonRoad
 
 COMMONROAD = "commonRoad"
 
 
-def read_commonroad(root: Element, where: str) -> list[Track]:
-    """Return every dynamic obstacle that has a trajectory, at its places, which are the middle of its shape.
+def read_commonroad(root: Element, where: str) -> list[Track | Listed]:
+    """Return every dynamic obstacle, of versions 2018b and 2020a, at its places, which are the middle of its shape.
 
     Args:
         root: root of the document.
         where: name of the file, for messages.
 
     Raises:
-        UsageError: the time step is none, two obstacles have one id, or a state has no exact time or place.
+        UsageError: the time step is none.
     """
     step = finite_number(root.get("timeStepSize", ""), f"{where}: timeStepSize")
     if not 0.0 < step < 1e3:
         raise UsageError(f"{where}: timeStepSize must be above 0 s, got {step:g}")
-    found: dict[str, Track] = {}
-    for obstacle in root.findall("dynamicObstacle"):
-        name = obstacle.get("id", "")
-        here = f"{where}, obstacle {name}"
-        first, rest = obstacle.find("initialState"), obstacle.findall("trajectory/state")
-        if first is None or not rest:
-            continue  # occupancies, or nothing
-        if name in found:
-            raise UsageError(f"{here}: two obstacles have this id; give a file in which each has its own")
-        rows = np.array([_state(one, here) for one in (first, *rest)], np.float64) * [step, 1.0, 1.0]
-        found[name] = Track.of_rows(rows, here, name, (obstacle.findtext("type") or "").strip())
-    return list(found.values())
+    dynamic = root.findall("dynamicObstacle")
+    dynamic += [one for one in root.findall("obstacle") if (one.findtext("role") or "").strip() == "dynamic"]
+    names = [one.get("id", "") for one in dynamic]
+    return [
+        _read_or_why(name, _form(one), lambda one=one, name=name: _obstacle(one, name, names.count(name), step, where),  # type: ignore[misc]
+                     f"{where}, obstacle {name}")
+        for one, name in zip(dynamic, names, strict=True)
+    ]  # fmt: skip
+
+
+def _form(obstacle: Element) -> str:
+    """Return how an obstacle says where it is."""
+    known = ("trajectory", "occupancySet", "setBasedPrediction", "probabilityDistribution", "hypothesisPrediction")
+    return next((one for one in known if obstacle.find(one) is not None), "an initial state alone")
+
+
+def _obstacle(obstacle: Element, name: str, count: int, step: float, where: str) -> Track:
+    here = f"{where}, obstacle {name}"
+    if count > 1:
+        raise UsageError(f"{here}: {count} obstacles have this id; give a file in which each has its own")
+    first, rest = obstacle.find("initialState"), obstacle.findall("trajectory/state")
+    if first is None or not rest:
+        raise UsageError(f"{here}: has {_form(obstacle)}, which is not read; read are trajectories")
+    rows = np.array([_state(one, here) for one in (first, *rest)], np.float64) * [step, 1.0, 1.0]
+    return Track.of_rows(rows, here, name, (obstacle.findtext("type") or "").strip(), _form(obstacle))
 
 
 def _state(state: Element, where: str) -> tuple[float, float, float]:

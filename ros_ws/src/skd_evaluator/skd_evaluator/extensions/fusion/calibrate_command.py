@@ -32,8 +32,8 @@ from skd_evaluator.extensions.fusion.calibration import (
     recorded,
 )
 from skd_evaluator.extensions.fusion.fuse_command import recorder_of
-from skd_evaluator.extensions.fusion.recordings import track_of
-from skd_evaluator.extensions.fusion.trials import PhysicalTrial, Simulated, read_simulated, read_trials, table_in
+from skd_evaluator.extensions.fusion.recordings import TrialRecorder, track_of
+from skd_evaluator.extensions.fusion.trials import PhysicalTrial, read_simulated, read_trials, table_in
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 RESULT, SCENARIO = "simulator.json", "simulator.yaml"
@@ -53,7 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     if car.is_external:
         raise UsageError(f"{folder}: its car ran as a node, and cannot drive the trials again in process")
     world = replace(simulated.scenario, control_period=check_controller(car, simulated.scenario).control_period)
-    trials = _recorded(simulated, world, table_in(physical), arguments)
+    recorder = recorder_of(simulated, arguments)
+    assert recorder is not None
+    trials = _recorded(recorder, world, table_in(physical))
     workers = arguments.workers or available_workers()
     calibration = _calibrated(world, car, trials, arguments.parameters, workers)
     if calibration.after > POOR:
@@ -63,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
             "software, or one that decides otherwise by the noise of the recordings"
         )
     best = replace(calibrated(world, calibration.values), name=f"{world.name}_calibrated")
-    warnings = [*simulated.remarks, *warnings_of(calibration)]
+    warnings = [*simulated.remarks, *warnings_of(calibration), *recorder.damage.lines]
     content = {
         "simulated": simulated.source,
         "physical": str(physical),
@@ -110,10 +112,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if problem else 0
 
 
-def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: argparse.Namespace) -> list[Recorded]:
-    recorder = recorder_of(simulated, arguments)
+def _recorded(recorder: TrialRecorder, world: Scenario, table: Path) -> list[Recorded]:
     found: list[Recorded] = []
-    assert recorder is not None
 
     def keep(path: Path, trial: PhysicalTrial) -> PhysicalTrial:
         scene = recorder.laid(path, trial)

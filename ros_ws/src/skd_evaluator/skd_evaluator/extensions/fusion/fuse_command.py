@@ -51,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     trials = read_trials(table, None if recorder is None else recorder.measured)
     fusion = fuse(trials, simulated.trials, looks=arguments.looks, tolerance=arguments.gap_tolerance)
     figures, warnings = fusion.figures, [*simulated.remarks, *overruled(trials), *fusion.left_out]
+    warnings += [] if recorder is None else recorder.damage.lines
     content = {
         "simulated": simulated.source,
         "physical": str(table),

@@ -18,6 +18,8 @@ from skd_sim.inputs.files import did_you_mean
 from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.files import find_recordings
 from skd_evaluator.bags.read import ADVERSARY, CAR
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER, RecordingFrame, Track, bag_tracks, table_tracks
 from skd_evaluator.extensions.fusion.trials import GAP_TOLERANCE, PhysicalTrial, figures_of, gap_to_crossing
@@ -41,16 +43,17 @@ _WENT, _SHOWN = 1.0, 1.5  # s over which is looked where a car goes, and m that 
 _END = 0.5  # s that a recording may end before φ does, and over which is looked whether the two still come nearer
 
 
-def read_tracks(path: Path, car: str | None, other: str | None) -> tuple[Track, Track]:
+def read_tracks(path: Path, car: str | None, other: str | None, damage: Damage | None = None) -> tuple[Track, Track]:
     """Return the tracks of the car and of the other road user, in the recording's frame.
 
     Args:
-        path: an .mcap file, a bag's folder, or a csv file with the columns t, id, x, y, and perhaps heading and speed.
+        path: a recording, a bag's folder, or a csv file with the columns t, id, x, y, and perhaps heading and speed.
         car: topic or id of the car; None: what SKD itself calls it.
         other: topic or id of the other.
+        damage: told what is left out; by default that is refused.
 
     Raises:
-        UsageError: it cannot be read, is damaged or implausible, lacks one of the two, or they are in two frames.
+        UsageError: it cannot be read, is implausible, lacks one of the two, or they are in two frames.
     """
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
@@ -59,7 +62,11 @@ def read_tracks(path: Path, car: str | None, other: str | None) -> tuple[Track, 
     first, second = car or usual[0], other or usual[1]
     if first == second:
         raise UsageError(f"{path}: car and road user are both {first!r}; say which is which")
-    found = (table_tracks if is_table else bag_tracks)(path, [first, second])
+    if is_table:
+        found = {name: one for name, one in table_tracks(path, [first, second]).items() if isinstance(one, Track)}
+    else:
+        files = [file for files in find_recordings([path], damage) for file in files]
+        found = bag_tracks(files, [first, second], damage=damage)
     if found[first].frame != found[second].frame:
         raise UsageError(
             f"{path}: {first} in {found[first].frame!r} and {second} in {found[second].frame!r}: two frames; record "
@@ -167,6 +174,7 @@ class TrialRecorder:
         reference: how far ahead of the scenario's reference point of the car the tracked point is, m.
         tolerance: m that the road user may be off φ.
         gap_tolerance: m that the timing of a table may be off that of the recording.
+        damage: told what of recordings is left out.
     """
 
     scenario: Scenario
@@ -177,6 +185,7 @@ class TrialRecorder:
     reference: float = 0.0
     tolerance: float = PATH_TOLERANCE
     gap_tolerance: float = GAP_TOLERANCE
+    damage: Damage = field(default_factory=lambda: Damage(skip=True))
 
     def measured(self, path: Path, trial: PhysicalTrial) -> PhysicalTrial:
         """Return a trial with timing and figures as its recording has them.
@@ -231,7 +240,7 @@ class TrialRecorder:
         """
         if trial.phi not in self.safe:
             raise UsageError(f"{trial.where}: φ {trial.phi!r} was not simulated{did_you_mean(trial.phi, self.safe)}")
-        car, other = (track.placed(self.frame) for track in read_tracks(path, self.car, self.other))
+        car, other = (track.placed(self.frame) for track in read_tracks(path, self.car, self.other, self.damage))
         phi = self.safe[trial.phi]
         begin = self._beginning(other, phi, path)
         scene = self._scene(car, other, begin, self.scenario.time_step * (len(phi) - 1))

@@ -1,25 +1,32 @@
-"""Messages of MCAP files: their types, and a reader that says what of a file is damaged.
+"""Messages of recordings: MCAP, SQLite (.db3) and ROS 1 (.bag), each also packed by zstd, read in one way.
 
-The mcap package's StreamReader cuts the file into records and compares checksums. It is given whole chunks, so that one
-that is damaged costs no other, and a file that was cut short gives what came before. The index is not used. Types are
-those of ROS 2 Jazzy, of skd_msgs, and of a car's commands, or as the file defines them.
+The mcap package's StreamReader cuts an MCAP file into records and compares checksums. It is given whole chunks, so that
+one that is damaged costs no other, and a file that was cut short gives what came before; the index is not used. The
+other storages are read by rosbags. Messages that are compressed one by one are unpacked. Types are as the file defines
+them, else those of ROS 2 Jazzy, of skd_msgs, and of a car's commands.
 """
 
 from __future__ import annotations
 
 import functools
 import os
+import shutil
 import sys
+import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import zstandard
 from mcap.exceptions import EndOfFile, InvalidMagic
+from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema, Statistics
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.interfaces import MessageDefinitionFormat, Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
@@ -60,17 +67,19 @@ def types_in(name: str, encoding: str, definition: bytes) -> Typestore:
 
     Args:
         name: of the type.
-        encoding: of the definition; all but ros2msg is taken as installed.
+        encoding: of the definition, `ros2msg` (of ROS 1, too), `ros2idl`, or any other, which counts for none.
         definition: as the file has it; some recorders leave it empty, or leave out types that it uses.
 
     Raises:
         UsageError: the definition cannot be read, or a type is defined nowhere.
     """
-    if not definition or encoding != "ros2msg":
+    if not definition or encoding not in ("ros2msg", "ros2idl"):
         complete(typestore(), name)
         return typestore()
     try:
-        types, store = get_types_from_msg(definition.decode(), name), get_typestore(Stores.EMPTY)
+        text = definition.decode()
+        types = get_types_from_idl(_idl_alone(text)) if encoding == "ros2idl" else get_types_from_msg(text, name)
+        store = get_typestore(Stores.EMPTY)
         left = [*types]
         while left:
             used = [one for _, kind in types[left.pop()][1] for one in _names(kind) if one not in types]
@@ -79,9 +88,17 @@ def types_in(name: str, encoding: str, definition: bytes) -> Typestore:
                 types[one] = typestore().fielddefs[one]
             left += used
         store.register(types)
+        store.fielddefs[name]  # that it is among them
+    except UsageError:
+        raise
     except Exception as error:  # its parser raises whatever the text makes it raise
         raise UsageError(f"the definition of {name:.80} cannot be read ({type(error).__name__})") from error
     return store
+
+
+def _idl_alone(text: str) -> str:
+    """Return definitions in IDL without the lines by which rosbag2 separates them."""
+    return "\n".join(line for line in text.splitlines() if not line.startswith(("====", "IDL:")))
 
 
 def complete(store: Typestore, name: str) -> None:
@@ -114,36 +131,59 @@ def _names(field: Any) -> Iterator[str]:
 
 
 _LARGEST_RECORD = 256 * 2**20  # bytes; recorders' chunks have one to a few MiB
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_MCAP_MAGIC, _SQLITE_MAGIC, _ROS1_MAGIC, _ZSTD_MAGIC = (
+    b"\x89MCAP",
+    b"SQLite format 3",
+    b"#ROSBAG V",
+    b"\x28\xb5\x2f\xfd",
+)
+_MSG, _IDL = MessageDefinitionFormat.MSG, MessageDefinitionFormat.IDL
+_DEFINED = {_MSG: "ros2msg", _IDL: "ros2idl"}
+_CDR, _ROS1 = "cdr", "ros1"
 
 
 class Received(NamedTuple):
-    """One message: its type, its channel and its bytes."""
+    """One message.
 
-    schema: Schema
-    channel: Channel
+    Attributes:
+        topic: on which it was sent.
+        type: name of its type.
+        data: its bytes, not compressed by themselves.
+        logged: when it was recorded, ns.
+        encoding: of the bytes.
+        definition: encoding and text of what the file says of its type.
+    """
+
+    topic: str
+    type: str
     data: bytes
+    logged: int
+    encoding: str
+    definition: tuple[str, bytes]
+
+    @property
+    def types(self) -> Typestore:
+        """The types by which it is decoded."""
+        return types_in(self.type, *self.definition)
 
     def decoded(self) -> Any:
         """Return the message as rosbags decodes it, by the definition that the file has of its type.
 
         Raises:
-            UsageError: it is not encoded as CDR, is compressed by itself, or cannot be decoded.
+            UsageError: it is encoded otherwise than as ROS 1 or 2 do it, or cannot be decoded.
         """
-        topic = self.channel.topic
-        if self.channel.message_encoding != "cdr":
-            raise UsageError(f"{topic} is encoded as {shortened(self.channel.message_encoding)}, expected cdr")
-        if self.data.startswith(_ZSTD_MAGIC):
-            raise UsageError(
-                "its messages are compressed one by one; unpack it with ros2 bag convert, or record with "
-                "--storage-preset-profile zstd_fast instead of --compression-mode message"
-            )
-        store = types_in(self.schema.name, self.schema.encoding, self.schema.data)
+        if self.encoding not in (_CDR, _ROS1):
+            raise UsageError(f"{self.topic} is encoded as {shortened(self.encoding)}, expected {_CDR} or {_ROS1}")
         try:
-            return store.deserialize_cdr(self.data, self.schema.name)
+            read = self.types.deserialize_cdr if self.encoding == _CDR else self.types.deserialize_ros1
+            return read(self.data, self.type)
+        except UsageError:
+            raise
         except Exception as error:  # what damaged bytes are taken for can raise anything
+            if self.definition[0] == _DEFINED[_IDL]:  # recorders shorten it
+                return self._replace(definition=("", b"")).decoded()
             said = shortened(f"{type(error).__name__}: {error}")
-            raise UsageError(f"a message on {topic} cannot be read ({said})") from error
+            raise UsageError(f"a message on {self.topic} cannot be read ({said})") from error
 
 
 @dataclass
@@ -156,6 +196,8 @@ class Condition:
         refuted: whether a checksum contradicts messages that have no other: nothing that came may be used.
         chunks: how many there were, damaged ones included.
         messages: how many there were on all topics, as far as they could be read.
+        topics: the type of each topic.
+        counts: how many messages each topic has.
     """
 
     damage: list[str] = field(default_factory=list)
@@ -163,40 +205,129 @@ class Condition:
     refuted: bool = False
     chunks: int = 0
     messages: int = 0
+    topics: dict[str, str] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
 
 
 def read_messages(path: Path, wanted: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
-    """Yield the messages of an MCAP file on wanted topics, in the order of the file.
+    """Yield the messages of a file on wanted topics, in the order of the file.
 
     Damaged parts are left out and named in `condition`, which is complete when the iteration has ended. Do not rely on
     messages before that, because the checksum of the whole comes last.
 
     Args:
-        path: path of the MCAP file.
+        path: path of the file.
         wanted: says of a topic whether its messages are wanted.
         condition: told what is found.
 
     Raises:
-        UsageError: it cannot be opened, or is no regular file.
+        UsageError: it cannot be opened, is no regular file, or of none of the storages.
     """
+    wanted = functools.cache(wanted)
+    with _unpacked(path) as (file, magic):
+        if magic.startswith(_SQLITE_MAGIC) or magic.startswith(_ROS1_MAGIC):
+            found = _rosbags(file, wanted, condition, is_ros1=magic.startswith(_ROS1_MAGIC))
+        elif magic.startswith(_MCAP_MAGIC) or path.name.lower().endswith((".mcap", ".mcap.zstd", ".mcap.zst")):
+            found = _mcap(file, wanted, condition)
+        else:
+            raise UsageError(f"{path}: is no recording: neither MCAP, SQLite of rosbag2, nor a bag of ROS 1")
+        for one in found:
+            yield one._replace(data=_plain(one.data, condition)) if one.data.startswith(_ZSTD_MAGIC) else one
+
+
+def span_of(path: Path) -> tuple[int, int] | None:
+    """Return when the first and the last message of a file were recorded, ns; None without any."""
+    with _unpacked(path) as (file, magic):
+        if magic.startswith(_MCAP_MAGIC):
+            try:
+                with file.open("rb") as stream:
+                    summary = make_reader(stream).get_summary()
+            except Exception:  # cut short, or damaged
+                summary = None
+            if summary is not None and summary.statistics is not None and summary.statistics.message_count:
+                return summary.statistics.message_start_time, summary.statistics.message_end_time
+        times = [one.logged for one in read_messages(file, lambda _topic: True, Condition())]
+    return (min(times), max(times)) if times else None
+
+
+@contextmanager
+def _unpacked(path: Path) -> Iterator[tuple[Path, bytes]]:
+    """Give a file that is not packed as a whole, and how it begins."""
+    with open_regular(path) as stream:
+        magic = stream.read(16)
+        if not magic.startswith(_ZSTD_MAGIC):
+            yield path, magic
+            return
+        stream.seek(0)
+        with tempfile.NamedTemporaryFile(suffix=".mcap") as plain:
+            try:
+                shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(stream), plain)
+            except zstandard.ZstdError as error:
+                raise UsageError(f"{path}: cannot be unpacked ({error})") from error
+            plain.flush()
+            plain.seek(0)
+            yield Path(plain.name), plain.read(16)
+
+
+def _plain(data: bytes, condition: Condition) -> bytes:
+    """Return the bytes of a message that is compressed by itself."""
+    try:
+        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    except zstandard.ZstdError as error:
+        condition.damage.append(f"a message cannot be unpacked ({error})")
+        return b""
+
+
+def _rosbags(path: Path, wanted: Callable[[str], bool], condition: Condition, *, is_ros1: bool) -> Iterator[Received]:
+    """Yield the messages of the storages that rosbags reads; they have no checksums."""
+    from rosbags.rosbag1 import Reader
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    condition.unchecked = True
+    reader: Any = Reader(path) if is_ros1 else Sqlite3Reader(path)
+    try:
+        reader.open()
+        chosen = []
+        for one in reader.connections:
+            condition.topics[one.topic] = one.msgtype
+            condition.counts[one.topic] += one.msgcount
+            condition.messages += one.msgcount
+            if wanted(one.topic):
+                chosen.append(one)
+        for connection, logged, data in reader.messages(chosen) if chosen else ():
+            encoding = _ROS1 if is_ros1 else connection.ext.serialization_format
+            defined = _DEFINED.get(connection.msgdef.format, ""), connection.msgdef.data.encode()
+            yield Received(connection.topic, connection.msgtype, bytes(data), logged, encoding, defined)
+        reader.close()
+    except Exception as error:  # what damaged bytes are taken for can raise anything
+        condition.damage.append(f"it cannot be read to its end ({shortened(f'{type(error).__name__}: {error}')})")
+
+
+def _mcap(path: Path, wanted: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
+    """Yield the messages of an MCAP file."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    wanted = functools.cache(wanted)
-    with open_regular(path) as stream:
+    with path.open("rb") as stream:
         for record in _records(StreamReader(stream, emit_chunks=True, validate_crcs=True,
                                             record_size_limit=_LARGEST_RECORD), condition):  # fmt: skip
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 channels[record.id] = record
+                if record.schema_id in schemas:
+                    condition.topics[record.topic] = schemas[record.schema_id].name
             elif isinstance(record, Message):
                 condition.messages += 1
                 channel = channels.get(record.channel_id)
                 schema = None if channel is None else schemas.get(channel.schema_id)
+                if channel is not None:
+                    condition.counts[channel.topic] += 1
                 if channel is None or (schema is None and wanted(channel.topic)):
                     condition.damage.append(f"a message is of channel {record.channel_id}, which has no type")
                 elif schema is not None and wanted(channel.topic):
-                    yield Received(schema, channel, record.data)
+                    defined = (schema.encoding, schema.data)
+                    encoding = channel.message_encoding
+                    yield Received(channel.topic, schema.name, record.data, record.log_time, encoding, defined)
         if not condition.damage and stream.read(1):
             condition.damage.append("something follows its end")
 
@@ -207,7 +338,7 @@ def _records(reader: StreamReader, condition: Condition) -> Iterator[McapRecord]
         for record in reader.records:
             if isinstance(record, Chunk):
                 condition.chunks += 1
-                yield from _unpacked(record, condition)
+                yield from _of_chunk(record, condition)
             elif isinstance(record, DataEnd):
                 condition.unchecked &= not record.data_section_crc
             elif isinstance(record, Statistics):
@@ -226,7 +357,7 @@ def _records(reader: StreamReader, condition: Condition) -> Iterator[McapRecord]
         condition.damage.append(f"a record cannot be read ({shortened(f'{type(error).__name__}: {error}')})")
 
 
-def _unpacked(chunk: Chunk, condition: Condition) -> list[McapRecord]:
+def _of_chunk(chunk: Chunk, condition: Condition) -> list[McapRecord]:
     """Return the records of a chunk; none where it is damaged."""
     try:
         records = breakup_chunk(chunk, validate_crc=True)
