@@ -81,7 +81,7 @@ def test_assess_with_the_model(model, tmp_path, capsys):
     ("arguments", "parts"),
     [
         (["fit", "missing"], ["missing", "no such file"]),
-        (["fit", "empty"], ["empty", "neither .mcap files nor episodes.npz"]),
+        (["fit", "empty"], ["empty", "neither recordings nor episodes.npz"]),
         (["fit", "alone/episodes.npz"], ["probe.json or assessment.json beside it"]),
         (["fit", "bad.npz"], ["bad.npz", "has no probe.json or assessment.json beside it"]),
         (["assess", "--car-model", "missing.yaml"], ["missing.yaml", "cannot be read"]),

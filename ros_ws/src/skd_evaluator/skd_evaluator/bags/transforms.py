@@ -1,9 +1,10 @@
 """Frames of /tf and /tf_static (REP 105): where one lies in another, by the rules of tf2.
 
 Each frame has samples of its own, each with its parent, so a frame may be attached elsewhere later. Between two samples
-of one parent places go in straight lines and turns by the shortest way; nothing is said before the first, after the
-last, or in a hole. Only frames between the two that are asked for are looked at. A transform that is no transform is
-dropped, as tf2 does. Times are whole nanoseconds, so the same recording at another time gives the same numbers.
+of one parent places go in straight lines and turns by the shortest way, and so for less than one usual step before the
+first and after the last; nothing is said beyond, or in a hole. Only frames between the two asked for are looked
+at. A transform that is no transform is dropped, as tf2 does. Times are whole nanoseconds, so the same recording at
+another time gives the same numbers.
 """
 
 from __future__ import annotations
@@ -200,13 +201,15 @@ class Transforms:
         stamps, rows = np.array([one[0] for one in samples], np.int64), np.array([one[3] for one in samples])
         ours = np.array([one[2] == parent for one in samples])
         self._refuse_two(frame, stamps, rows[:, :3], ours)
-        before = np.clip(np.searchsorted(stamps, at.stamps, side="right") - 1, 0, len(stamps) - 1)
+        before = np.clip(np.searchsorted(stamps, at.stamps, side="right") - 1, 0, max(len(stamps) - 2, 0))
+        before = np.where(stamps[-1] == at.stamps, len(stamps) - 1, before)
         exact = stamps[before] == at.stamps
         after = np.where(exact, before, np.minimum(before + 1, len(stamps) - 1))
         step = stamps[after] - stamps[before]
-        inside = exact | ((at.stamps > stamps[0]) & (at.stamps < stamps[-1]))
+        usual = min(int(np.median(np.diff(stamps))), self._longest) if len(stamps) > 1 else 0
+        inside = exact | ((at.stamps > stamps[0] - usual) & (at.stamps < stamps[-1] + usual))
         known = np.flatnonzero(inside & (step <= self._longest) & ours[before] & ours[after])
-        self._note_holes(frame, parent, stamps, at.stamps, inside & (step > self._longest), before)
+        self._note_holes(frame, parent, stamps, at.stamps, before, inside, step > self._longest)
         first, last = rows[before[known]], rows[after[known]]
         share = ((at.stamps[known] - stamps[before[known]]) / np.maximum(step[known], 1))[:, None]
         turns = Rotation.from_quat(first[:, 3:])
@@ -214,14 +217,22 @@ class Transforms:
         return known, Poses(first[:, :3] + share * (last[:, :3] - first[:, :3]), turned)
 
     def _note_holes(
-        self, frame: str, parent: str, stamps: IntArray, asked: IntArray, hole: BoolArray, before: IntArray
+        self,
+        frame: str,
+        parent: str,
+        stamps: IntArray,
+        asked: IntArray,
+        before: IntArray,
+        inside: BoolArray,
+        hole: BoolArray,
     ) -> None:
         """Take note of when nothing is said, as far as it is asked for."""
-        spans = [(stamps[one], stamps[one + 1]) for one in np.unique(before[hole]).tolist()]
-        if asked.size and asked[0] < stamps[0]:
-            spans.insert(0, (asked[0], stamps[0]))
-        if asked.size and asked[-1] > stamps[-1]:
-            spans.append((stamps[-1], asked[-1]))
+        spans = [(stamps[one], stamps[one + 1]) for one in np.unique(before[inside & hole]).tolist()]
+        outside = asked[~inside]
+        if outside.size and outside[0] < stamps[0]:
+            spans.insert(0, (outside[0], stamps[0]))
+        if outside.size and outside[-1] > stamps[-1]:
+            spans.append((stamps[-1], outside[-1]))
         for begin, end in spans:
             span = f"from {begin / SECOND:.2f} to {end / SECOND:.2f} s"
             self.notes[f"nothing says how {frame!r} lies in {parent!r} {span}"] = None

@@ -21,14 +21,21 @@ from skd_sim.scenario.scenario import Scenario
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.files import find_recordings
 from skd_evaluator.bags.read import ADVERSARY, CAR
-from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER, RecordingFrame, Track, bag_tracks, table_tracks
+from skd_evaluator.bags.tracks import (
+    LONGEST_GAP,
+    TABLE_CAR,
+    TABLE_OTHER,
+    RecordingFrame,
+    Track,
+    bag_tracks,
+    table_tracks,
+)
 from skd_evaluator.extensions.fusion.trials import GAP_TOLERANCE, PhysicalTrial, figures_of, gap_to_crossing
 from skd_evaluator.metrics.surrogate_measures import clearances
 from skd_evaluator.metrics.surrogate_scenes import Interaction
 
 PATH_TOLERANCE = 0.5
 """m that the tracked road user may be off φ at any moment: beyond, it was not a trial on that φ."""
-_LONGEST_HOLE = 0.5  # s without a position: a car at 50 km/h moves 7 m in it
 _LONGEST = 3600.0  # s that a track may last
 _NOISE = 0.3  # m of two tracked places
 _MOVES = 1.0  # m/s, from which directions and speeds of positions say something
@@ -126,12 +133,17 @@ def _places_at(track: Track, times: FloatArray, *, holes: bool = False) -> Float
     if times[0] < known[0] - 1e-6 or times[-1] > known[-1] + 1e-6:
         raise UsageError(
             f"{track.where}: is tracked from {known[0]:.2f} to {known[-1]:.2f} s, and the trial is from "
-            f"{times[0]:.2f} to {times[-1]:.2f} s"
+            f"{times[0]:.2f} to {times[-1]:.2f} s{_why(track)}"
         )
     hole = np.diff(known)[np.clip(np.searchsorted(known, times), 1, len(known) - 1) - 1].max()
-    if hole > _LONGEST_HOLE and not holes:
-        raise UsageError(f"{track.where}: has a hole of {hole:.2f} s, more than {_LONGEST_HOLE:g} s")
+    if hole > LONGEST_GAP and not holes:
+        raise UsageError(f"{track.where}: has a hole of {hole:.2f} s, more than {LONGEST_GAP:g} s{_why(track)}")
     return np.column_stack([np.interp(times, known, column) for column in track.places.T])
+
+
+def _why(track: Track) -> str:
+    """Return what was left out of a track, for messages."""
+    return "".join(f"; {note}" for note in track.notes)
 
 
 def _velocity_at(track: Track, times: FloatArray, over: float, *, holes: bool = False) -> FloatArray:
