@@ -13,9 +13,6 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
-from skd_evaluator.assessment.files.episodes_npz import _risk_columns, read_episodes
-from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.files.verification import assessment_from_file
 from skd_evaluator.assessment.options import WALKERS
 from skd_evaluator.assessment.stages.kamikazes import bounded_point
 from skd_evaluator.errors import AssessmentError
@@ -65,25 +62,6 @@ def test_each_figure_is_held_against_the_limit_on_its_own() -> None:
     assert too_many_aborted(one, 0.0)
     kamikazes = rating(4, mode=Mode.KAMIKAZE, plan=replace(MANY, kamikaze_count=20, collision_runs=400))
     assert "4 of 44 kamikazes of objective paper were aborted" in (too_many_aborted(kamikazes, 0.05) or "")
-
-
-def test_crossings_are_held_against_it_too() -> None:
-    some = [Touch.NONE] * 17 + [Touch.ABORTED] * 2
-    found = with_risk(*some)
-    assert too_many_aborted(found, 0.05) == (
-        "2 of 19 crossings of the risk at scale 1 were aborted, more than --max-aborted 5 %"
-    )
-    assert too_many_aborted(with_risk(*some[:-1]), 0.05) is None
-    curve = replace(rating(0), budgets=tuple(budget_points([BudgetPoint(0.5, 1, 18, 2)])))
-    every = replace(rating(12), risks=found.risks)
-    assert (too_many_aborted(every, 0.05) or "").startswith(
-        "12 of 140 episodes, 2 of 19 crossings of the risk at scale 1 were aborted, more than --max-aborted 5 %; 12 of "
-    )
-    assert "2 of 20 kamikazes held to η = 0.5 m" in (too_many_aborted(curve, 0.05) or "")
-    assert aborted_lines(curve.as_dict()) == [
-        "2 of 20 kamikazes held to η = 0.5 m were aborted and count for nothing; if the car had hit in all of them, "
-        "the share of these that are hit would be 15.0 % in place of 5.6 %"
-    ]
 
 
 @pytest.mark.parametrize("mode", [Mode.REPLAY, Mode.KAMIKAZE])
@@ -206,18 +184,6 @@ def test_in_pytest_no_use_as_a_number_passes_by_aborted_episodes(passes: Any, nu
         assert passes(rate, number)
 
 
-def test_in_pytest_an_upper_bound_of_the_margin_shows_no_least() -> None:
-    bound = {**rating(0).as_dict(), "margin": 1.2, "margin_ci95": [0.9, 1.3], "optimality_gap": 1.1}
-    bound |= {"margin_converged": False, "margin_budget": 64}
-    car = in_pytest(bound)
-    assert car.margin < 1.5
-    assert not car.margin > 1.5
-    for passes in (lambda: car.margin > 0.8, lambda: car.margin_ci95[0] > 0.8, lambda: car.optimality_gap < 1.5):
-        with pytest.raises(AssessmentError, match="had not converged at 64 candidates a trial, so this is a"):
-            passes()
-    assert in_pytest({**bound, "margin_converged": True}).margin > 0.8
-
-
 class Aborting:
     """Crossings that are hit by nobody, but for one that is aborted."""
 
@@ -235,20 +201,6 @@ def test_subset_simulation_ends_with_the_first_aborted_crossing() -> None:
     with pytest.raises(AbortedCrossingsError) as told:
         levels_of(here, Aborting(), 1.0, SubsetEffort(2, 100, 3))
     assert told.value.count == 1
-
-
-def test_a_risk_whose_subset_simulation_was_aborted_is_not_known(tmp_path: Path) -> None:
-    found = with_risk(Touch.NONE, Touch.NONE, lost=2)
-    content = found.as_dict()
-    assert (content["risk_1"], content["risk_1_ci95"], content["risk_1_ci95_runs"]) == (None, None, None)
-    (scale,) = content["risk"]["scales"]
-    assert scale["note"] == ("not known: 2 crossings were aborted in subset simulation; none of them counts as a miss")
-    assert aborted_lines(content) == ["R(1) is not known: 2 crossings of subset simulation were aborted"]
-    (check,) = check_limits(content, [Limit("risk_1", 0.9, is_least=False)])
-    assert check.error
-    write_assessment(tmp_path, found)
-    assert assessment_from_file(content, read_episodes(tmp_path)).as_dict()["risk_1"] is None
-    assert "risk_lost" not in {*_risk_columns(with_risk(Touch.NONE))}  # of a car without any the file is as ever
 
 
 def test_aborted_bounded_kamikazes_are_counted() -> None:

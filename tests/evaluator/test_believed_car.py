@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shapely import Polygon
 from skd_adversary.adversary import make_adversary
 from skd_adversary.crossing.parts import CAR_S, CAR_SPEED
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
@@ -12,10 +11,6 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
-from skd_evaluator.cli.show import shown_episode
-from skd_evaluator.report.episode_pictures import DEVIATIONS, EpisodePicture, believed_car
-from skd_evaluator.report.html.subjects import read_subjects
-from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode
 
@@ -79,23 +74,3 @@ def test_it_is_in_the_file_and_agrees_with_where_the_car_is(stored):
     assert (np.abs(together) < 3.0).mean() > 0.95
     assert abs(together.mean()) < 0.35
     assert 0.5 < together.std() < 1.5
-
-
-def test_what_is_shown_is_beside_the_true_place_and_held_at_the_end(folder, stored):
-    (subject,) = read_subjects([folder])
-    number = int(np.flatnonzero(stored.hit & (stored.mode == Mode.KAMIKAZE))[0])
-    belief, car = stored.belief[number], stored.car[number]
-    along = right_and_along(subject.scenario.road.line, np.ascontiguousarray(car[:, :2]))[:, 1]
-    found = believed_car(subject.scenario, car, belief)
-    np.testing.assert_allclose(found[:-1, 0] + along[:-1], belief[:-1, 0])
-    np.testing.assert_array_equal(found[-1], found[-2])
-    assert believed_car(subject.scenario, car, np.full_like(belief, np.nan)) is None
-    picture = EpisodePicture(shown_episode(subject, number))
-    picture.set(subject.episodes.time_step)
-    band, middle = (Polygon(one.get_xy()) for one in picture._believed)
-    front = belief[1, 0] + subject.scenario.car.front
-    assert band.bounds[1] == pytest.approx(front - DEVIATIONS * belief[1, 1])
-    assert band.bounds[3] == pytest.approx(front + DEVIATIONS * belief[1, 1])
-    assert middle.bounds[1] == pytest.approx(middle.bounds[3]) == pytest.approx(front)
-    along_phi = int(np.flatnonzero(stored.mode == Mode.REPLAY)[0])
-    assert EpisodePicture(shown_episode(subject, along_phi))._believed == []

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
 from cli_support import skd
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Runner
@@ -30,11 +29,6 @@ from stages import rate
 
 CROSSING = load_scenario("crossing")
 SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)
-REPORTED = {
-    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate",
-    "contact_rate", "contact_rate_ci95_runs", "per_safe_trajectory", "seconds", "seed", "controller", "scenario",
-    "version",
-}  # fmt: skip
 
 
 def rated(plan: Plan, safe: Sequence[Trajectory], runner: Runner) -> Assessment:
@@ -209,67 +203,3 @@ def test_sweep_and_assess_give_the_same(tmp_path):
 
 
 # --- the figures
-
-
-def curves(data: np.lib.npyio.NpzFile, mode: Mode, phi: int) -> list[np.ndarray]:
-    """Return the trajectories of one mode and φ; one that collided ends at its first contact."""
-    offsets = data["offsets"]
-    collided = (data["mode"] != Mode.KAMIKAZE) | (data["outcome"] == Outcome.COLLISION)
-    chosen = np.flatnonzero((data["mode"] == mode) & (data["safe_index"] == phi) & collided)
-    found = [data["positions"][offsets[k] : offsets[k + 1]] for k in chosen]
-    for k, curve in zip(chosen, found, strict=True):
-        if data["outcome"][k] == Outcome.COLLISION:
-            share = data["impact_time"][k] / data["time_step"] - (len(curve) - 2)
-            curve[-1] = (1.0 - share) * curve[-2] + share * curve[-1]
-    return found
-
-
-@pytest.mark.parametrize("discard", [False, True])
-def test_all_is_recomputable_from_disk(tmp_path, discard):
-    maximum = None
-    with InProcessRunner(1) as runner:
-        safe = safe_trajectories(SMALL, runner)
-        found = rated(SMALL, safe, runner)
-        if discard:
-            maximum = float(np.median(found.for_skd.skd.distances.values))
-            found = rated(replace(SMALL, maximum_distance=maximum), safe, runner)
-    write_assessment(tmp_path, found)
-    result = json.loads((tmp_path / "assessment.json").read_text())
-    assert set(result) >= REPORTED
-    assert result == json.loads(json.dumps(found.as_dict()))
-
-    data = np.load(tmp_path / "episodes.npz")
-    distances, prefix_distances = [], []
-    for index, entry in enumerate(result["per_safe_trajectory"]):
-        (phi,) = curves(data, Mode.SAFE, index)
-        psis = curves(data, Mode.KAMIKAZE, index)
-        line = shapely.LineString(phi)
-        theirs = np.array([shapely.frechet_distance(line, shapely.LineString(psi)) for psi in psis])
-        kept = theirs <= (maximum or np.inf)
-        assert entry["pairs"] == kept.sum()
-        assert entry["skd"] == pytest.approx(theirs[kept].mean(), rel=0.0, abs=1e-12)
-        distances.extend(theirs[kept])
-        for psi in (psi for psi, keep in zip(psis, kept, strict=True) if keep):
-            cut = shapely.LineString(phi[: len(psi)])
-            prefix_distances.append(shapely.frechet_distance(cut, shapely.LineString(psi)))
-    assert result["discarded_by_distance"] == 10 - len(distances)
-    if maximum is not None:
-        assert 0 < len(distances) < 10
-    assert result["pairs"] == len(distances)
-    assert result["skd"] == pytest.approx(np.mean(distances), rel=0.0, abs=1e-12)
-    assert result["variance"] == pytest.approx(np.var(distances, ddof=1), rel=0.0, abs=1e-12)
-    assert result["skd_prefix"] == pytest.approx(np.mean(prefix_distances), rel=0.0, abs=1e-12)
-    half = 1.959963984540054 * np.sqrt(result["variance"] / len(distances))
-    assert result["skd_ci95_pairs"] == pytest.approx([result["skd"] - half, result["skd"] + half])
-
-    replays = data["outcome"][data["mode"] == Mode.REPLAY]
-    hits = int((replays == Outcome.COLLISION).sum())
-    assert result["contact_rate"] == hits / len(replays)
-    assert result["contact_rate_ci95_runs"] == pytest.approx(wilson_interval(hits, len(replays)))
-    tried = data["mode"] == Mode.KAMIKAZE
-    assert tried.sum() == result["kamikaze_trials"]
-    assert (data["objective"][tried] == "paper").all()
-    assert (data["objective"][~tried] == "").all()
-    collided = tried & (data["outcome"] == Outcome.COLLISION)
-    assert result["mean_impact_speed"] == pytest.approx(data["impact_speed"][collided].mean())
-    assert len(data["car"]) == len(data["positions"]) == data["offsets"][-1]

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from skd_evaluator.metrics.contact_place import deceleration_at_entry
-from skd_evaluator.metrics.measures import measure_pairs, pair_of
-from skd_sim.scenario.road import Part, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -51,28 +48,3 @@ def test_where_it_is_not_defined_or_nothing_is_needed() -> None:
     assert math.isnan(deceleration_at_entry(crosses(6.0, -16.0)))  # beside the car when it comes into the way
     assert math.isnan(deceleration_at_entry(crosses(6.0, 5.0, velocity=0.5)))  # never in the way at a tick
     assert deceleration_at_entry(crosses(1.0, 5.0, drift=1.5)) == 0.0  # goes ahead faster than the car drives
-
-
-def test_along_a_curve_it_is_what_it_is_along_a_straight_road() -> None:
-    road = Road(3.5, parts=(Part(60.0), Part(8.0 * math.pi, 16.0, "left"), Part(60.0)), origin=60.0)
-    straight = crosses(6.0, 5.0)
-    places = [road_pose(road.line, along) for along in straight.adversary[:, 1]]
-    across = straight.adversary[:, 0]
-    adversary = [
-        (x + right * math.sin(heading), y - right * math.cos(heading))
-        for (x, y, heading), right in zip(places, across, strict=True)
-    ]
-    car = [(*road_pose(road.line, along)[:2], speed) for _, along, _, speed in straight.car]
-    bent = log_of(replace(CROSSING, road=road), np.array(adversary), np.array(car), straight.impact_time)
-    assert deceleration_at_entry(bent) == pytest.approx(deceleration_at_entry(straight), rel=0.02)
-
-
-def test_every_assessment_has_it() -> None:
-    logs = [crosses(6.0, 5.0), crosses(6.0, -16.0), crosses(6.0, 6.0)]
-    assert logs[0].episode.safe_trajectory is not None
-    measured = measure_pairs([(logs[0].episode.safe_trajectory, list(map(pair_of, logs)))])[
-        "required_deceleration_at_entry"
-    ]
-    found = measured.figures([np.arange(3)], 0.95)
-    assert (found["unit"], found["pairs"], found["undefined"], found["error"]) == ("m/s²", 2, 1, None)
-    assert found["mean"] == pytest.approx((deceleration_at_entry(logs[0]) + deceleration_at_entry(logs[2])) / 2.0)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.assessment import Assessment, in_order
 from skd_evaluator.assessment.episode_figures import standing_contacts
-from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
@@ -32,20 +31,6 @@ def both() -> Assessment:
     plan = replace(PLAN, multiplier=1.1)
     with InProcessRunner(1) as runner:
         return rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner)
-
-
-def alone(objective: Objective, plan: Plan = PLAN) -> Assessment:
-    plan = replace(plan, multiplier=1.1)
-    with InProcessRunner(1) as runner:
-        return rate(plan, [objective], safe_trajectories(plan, runner), runner)
-
-
-def test_objectives_have_the_draws_that_they_have_alone(both: Assessment) -> None:
-    for assessment in both.results:
-        objective = assessment.plan.objective
-        figures = alone(objective).as_dict()["objectives"][objective]
-        assert figures == both.as_dict()["objectives"][objective]
-    assert alone(PAPER).contact_rate == both.contact_rate
 
 
 def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Assessment) -> None:
@@ -83,39 +68,6 @@ def test_of_frechet_and_deviation_each_is_first_in_its_own() -> None:
     assert (found.for_skd.plan.objective, found.for_deviation.plan.objective) == (FRECHET, DEVIATION)
     assert in_order([FRECHET, PAPER, DEVIATION, PAPER]) == (DEVIATION, PAPER, FRECHET)
     assert list(picture_names(found)) == ["trajectories.png", "trajectories_frechet.png"]
-
-
-def test_the_mean_deviation_is_recomputable_from_disk(both: Assessment, tmp_path) -> None:
-    """By numpy alone: interpolation in time, at ten times in each tick and at the contact."""
-    write_assessment(tmp_path, both)
-    result = json.loads((tmp_path / "assessment.json").read_text())
-    data = np.load(tmp_path / "episodes.npz")
-    step, offsets = float(data["time_step"]), data["offsets"]
-    hit = (data["outcome"] == Outcome.COLLISION) & (data["impact_speed"] >= 0.556)
-    curves = [data["positions"][offsets[k] : offsets[k + 1]] for k in range(len(data["mode"]))]
-    names = {(objective, number) for objective, number in zip(data["objective"], data["episode_id"], strict=True)}
-    assert len(names) == len(curves) - 2 + 1  # only the two φ share a name
-    for objective, figures in result["objectives"].items():
-        tried = np.flatnonzero(data["objective"] == objective)
-        assert len(tried) == figures["trials"]
-        assert (data["mode"][tried] == Mode.KAMIKAZE).all()
-        counts = []
-        for k in tried:
-            if not hit[k]:
-                counts.append(5.0)
-                continue
-            phi, psi, end = curves[data["safe_index"][k]], curves[k], data["impact_time"][k] / step
-            times = np.unique([*np.arange(0.0, end, 0.1), *range(len(psi) - 1), end])
-            apart = [
-                np.interp(times, np.arange(len(psi)), psi[:, axis])
-                - np.interp(times, np.arange(len(phi)), phi[:, axis])
-                for axis in range(2)
-            ]
-            counts.append(min(5.0, np.hypot(*apart).max()))
-        reached = hit if objective == "deviation" else data["outcome"] == Outcome.COLLISION
-        assert figures["failed"] == sum(~reached[tried])
-        assert figures["deviation"] == pytest.approx(np.mean(counts), abs=1e-9)
-    assert any(figures["failed"] for figures in result["objectives"].values())
 
 
 def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:

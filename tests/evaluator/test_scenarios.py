@@ -10,19 +10,13 @@ from typing import cast
 import numpy as np
 import pytest
 from skd_adversary.safe_trajectories.sources import read_csv_trajectory
-from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import KamikazeSet, objective_result
-from skd_evaluator.assessment.plan import MANOEUVRES, Plan, Stage, episode_id, probe_scenario, probe_trajectory
+from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.margin.actions import has_exact_margin
-from skd_evaluator.metrics.contact_place import last_car_position
-from skd_evaluator.report.pictures import save_trajectories
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator, FrameSource
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -116,36 +110,6 @@ def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -
         read((-5.0, -9.0), (-3.0, -9.0), (-3.0, -7.0))
     with pytest.raises(UsageError, match="where the car starts"):
         read((3.4, -10.5), (5.0, -8.0))
-
-
-def test_a_probe_and_a_fit_see_the_curve_as_a_straight_road() -> None:
-    """Along the lane means along the curve; what the fit is told of a car on it is that of a straight road."""
-    scenario = probe_scenario(RIGHT_TURN)
-    straight = replace(scenario, road=CROSSING.road)
-    for manoeuvre in set(MANOEUVRES):
-        bent, plain = (probe_trajectory(one, manoeuvre, np.random.default_rng(4)) for one in (scenario, straight))
-        found = right_and_along(scenario.road.line, bent.positions)
-        near = np.abs(plain.positions[:, 0]) < 7.0  # nearer than the centre of the curve
-        np.testing.assert_allclose(found[near], plain.positions[near], atol=1e-9)
-    log = replays(RIGHT_TURN, 1, C=1.15)[0]
-    seen = recording_of(log)
-    np.testing.assert_allclose(seen.car[:, 0], 0.0, atol=1e-9)
-    np.testing.assert_allclose(np.diff(seen.car[:, 1]), 0.15 * (seen.car[1:, 3] + seen.car[:-1, 3]), atol=1e-9)
-
-
-@pytest.mark.parametrize("scenario", [RIGHT_TURN, WITH_BOX, TURN_WITH_BOX], ids=["turn", "box", "turn with a box"])
-def test_the_picture_has_car_lane_and_adversary_in_it(scenario: Scenario, tmp_path: Path) -> None:
-    logs = [log for log in replays(scenario, 12, C=0.5) if log.outcome == Outcome.COLLISION]
-    assert logs
-    phi = across(scenario)
-    kamikazes = [replace(log, episode=replace(log.episode, mode=Mode.KAMIKAZE)) for log in logs]
-    sets = [KamikazeSet(phi, tuple(kamikazes), 12)]
-    plan = Plan(scenario, safe_count=1)
-    result = objective_result(plan, sets)
-    save_trajectories(tmp_path / "picture.png", Assessment(plan, (phi,), (result,)), result)
-    assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    car_at_impact = float(np.median([last_car_position(log) for log in logs]))
-    assert -3.0 < car_at_impact < 3.0  # its front or its side is at the crossing line
 
 
 def test_outlines() -> None:

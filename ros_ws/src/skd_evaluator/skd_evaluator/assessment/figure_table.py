@@ -39,17 +39,6 @@ class Of(Enum):
     MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP, RISK = range(9)
 
 
-class Origin(StrEnum):
-    """Where an entry is from that cannot be recomputed from the episodes beside it."""
-
-    EPISODES = ""
-    BASIC_CARS = "read off margins of basic cars, which take a run"
-    SEARCH = "how the margin was searched, which takes the car"
-    TESTED = "episodes of their own, which take the car"
-    GRAPH = "wall time, which the graph alone knew"
-    REQUEST = "what was requested, when and where"
-
-
 class Better(StrEnum):
     """Which way is better for the car."""
 
@@ -126,7 +115,7 @@ class Figure:
         spoken: the texts beside it are what is shown, for it may lie beyond what was compared.
         clustered: `clustering` has what its interval by φ is made of.
         planned: what kamikazes know of the car stands beside it.
-        origin: why it cannot be recomputed.
+        recomputed: whether it follows from the episodes beside it.
         optional: it is there only where it is known.
         first: it is one of the few of `summary` that the terminal and the page show first.
         summary: its place among the rows of the gate's Markdown, as others below; 0: it is not there.
@@ -155,7 +144,7 @@ class Figure:
     spoken: bool = False
     clustered: bool = False
     planned: bool = False
-    origin: Origin = Origin.EPISODES
+    recomputed: bool = True
     optional: bool = False
     first: bool = False
     summary: int = 0
@@ -242,24 +231,24 @@ FIGURES = (
            "margin that 10 % of the trials do not exceed", _MORE, details=2, campaign=25, compare=24),
     Figure("margin_converged", FLAG_OR_NULL, lambda m: m.converged,
            "whether the search has converged; if not, the margin is an upper bound; exact ones are", _MARGIN,
-           origin=Origin.SEARCH, campaign=2, compare=2, junit=2),
+           recomputed=False, campaign=2, compare=2, junit=2),
     Figure("margin_budget", COUNT_OR_NULL, lambda m: m.search and m.search.budget,
            "candidate trajectories that the search drove in a trial; null: it is exact, or not known", _MARGIN,
-           origin=Origin.SEARCH, campaign=3, compare=3),
+           recomputed=False, campaign=3, compare=3),
     Figure("margin_excess", Kind(or_null(ref("margin_excess"))),
            lambda m: m.search and m.search.excess and asdict(m.search.excess),
            "how much too high it may be, estimated from trials that were searched deeper; null: exact, or not known",
-           _MARGIN, origin=Origin.SEARCH),
+           _MARGIN, recomputed=False),
     Figure("margin_sources", _typed("array", "null", items=ref("margin_source")),
            lambda m: m.search and [dict(one) for one in m.search.sources],
-           "what each source of candidates brought; null: it is exact, or not known", _MARGIN, origin=Origin.SEARCH),
+           "what each source of candidates brought; null: it is exact, or not known", _MARGIN, recomputed=False),
     Figure("margin_gap", LENGTH, lambda m: m.gap,
            "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
     Figure("margin_trials", COUNT_OR_NULL, lambda m: int(m.values.size), of=_MARGIN, compare=6),
     Figure("margin_beyond", COUNT_OR_NULL, lambda m: m.beyond, "trials in which nobody is hit within eta_max",
            _MARGIN, campaign=5, compare=7),
     Figure("margin_how", TEXT_OR_NULL, lambda m: m.search.how if m.search else "",
-           "what was driven, where it was not the car itself in process", _MARGIN, origin=Origin.SEARCH, campaign=4,
+           "what was driven, where it was not the car itself in process", _MARGIN, recomputed=False, campaign=4,
            compare=4),
     Figure("impact_speed", SPEEDS, lambda m: m.impact_speed,
            "speed of the car when it hits on the margin trajectories, m/s: mean and 90 % quantile", _MARGIN,
@@ -276,9 +265,9 @@ FIGURES = (
            details=6, difference=9, campaign=28, compare=27),
     Figure("risk", Kind(or_null(ref("risk"))), lambda r: r.as_dict(),
            "by which behaviour model, and how it was estimated", _RISK),
-    Figure("risk_note", TEXT, lambda a: a.risk_note, "why the risk is not known", origin=Origin.REQUEST, campaign=29),
+    Figure("risk_note", TEXT, lambda a: a.risk_note, "why the risk is not known", recomputed=False, campaign=29),
     Figure("margin_note", TEXT, lambda a: a.margin_note, "why the margin is not known",
-           origin=Origin.SEARCH, compare=5),
+           recomputed=False, compare=5),
     Figure("optimality_gap", RATIO, lambda a: a.optimality_gap()[0],
            "planned deviation over margin, in the same trials", by_phi=lambda a: a.optimality_gap()[1],
            label="optimality gap, planned / margin", better=Better.NEAR_1, summary=6, first=True, campaign=7,
@@ -299,26 +288,26 @@ FIGURES = (
            clustered=True, campaign=11, sweep=4, compare=16),
     Figure("equivalent_multiplier", NUMBER, _equivalent(""),
            "C of the basic car with the same margin on the same φ; null beyond those compared, or not known",
-           label="equivalent multiplier C", better=_MORE, spoken=True, origin=Origin.BASIC_CARS, summary=2, first=True,
+           label="equivalent multiplier C", better=_MORE, spoken=True, recomputed=False, summary=2, first=True,
            campaign=12, compare=8),
     Figure("equivalent_multiplier_text", TEXT_OR_NULL,
-           _equivalent("_text"), origin=Origin.BASIC_CARS, compare=9,
+           _equivalent("_text"), recomputed=False, compare=9,
            junit=3),
     Figure("equivalent_multiplier_ci95", OPEN_INTERVAL,
            _equivalent("_ci95"), "95 % interval of it over φ",
-           origin=Origin.BASIC_CARS, compare=10),
+           recomputed=False, compare=10),
     Figure("equivalent_multiplier_ci95_text", TEXT_OR_NULL,
-           _equivalent("_ci95_text"), origin=Origin.BASIC_CARS,
+           _equivalent("_ci95_text"), recomputed=False,
            compare=11),
     Figure("equivalent_multiplier_ci95_these_phi", OPEN_INTERVAL,
            _equivalent("_ci95_these_phi"),
-           "95 % interval of it on these φ", origin=Origin.BASIC_CARS, campaign=13),
+           "95 % interval of it on these φ", recomputed=False, campaign=13),
     Figure("equivalent_multiplier_ci95_these_phi_text", TEXT_OR_NULL,
            _equivalent("_ci95_these_phi_text"),
-           origin=Origin.BASIC_CARS),
+           recomputed=False),
     Figure("measures", _each(ref("measure")), lambda o: o.measure_figures(),
            "further measures of the pairs, by name", _DEVIATION),
-    Figure("equivalent_multiplier_note", TEXT, lambda a: a.equivalent_note, origin=Origin.BASIC_CARS),
+    Figure("equivalent_multiplier_note", TEXT, lambda a: a.equivalent_note, recomputed=False),
     Figure("eta_max", Kind({"type": "number", "exclusiveMinimum": 0}, "m"), lambda a: a.plan.scenario.eta_max,
            "η_max, m", _SETTING, campaign=23, compare=21),
     Figure("skd", LENGTH, lambda o: o.skd.distances.mean,
@@ -367,10 +356,10 @@ FIGURES = (
            optional=True),
     Figure("simulation", Kind({"type": "object"}), lambda a: a.simulation and dict(a.simulation),
            "what a simulator other than SKD's own world says of the car in it, as the pedals of its vehicle",
-           origin=Origin.REQUEST, optional=True),
+           recomputed=False, optional=True),
     Figure("command_age", Kind(or_null(ref("command_age"))), lambda a: command_age(a.logs),
            "of episodes through the graph: wall time (s) from a command to its use, or from a state to its answer",
-           origin=Origin.GRAPH),
+           recomputed=False),
     Figure("nominal_collision_rate", SHARE, lambda a: a.nominal_collision_rate,
            "share of the runs along φ that the moving car hit", by_phi=lambda a: _interval(a.clustered_nominal_rate),
            label="nominal collision rate", better=_LESS, summary=3, first=True, chart=2, difference=5, campaign=8,
@@ -382,14 +371,14 @@ FIGURES = (
     Figure("clustering", Kind(ref("clusterings")), lambda a: a.clustering()),
     Figure("clustering", Kind(ref("clusterings_of_objective")), lambda o: o.clustering(), of=_OBJECTIVE),
     Figure("until_width", Kind(or_null(ref("until_width"))), lambda a: a.until_width and a.until_width.as_dict(),
-           origin=Origin.REQUEST),
+           recomputed=False),
     Figure("collision_runs", COUNT, lambda a: a.completed_runs, "aborted ones left out"),
     Figure("collision_standing_contacts", COUNT, lambda a: standing_contacts(a.nominal_runs)),
-    Figure("left_out", LINES, lambda a: list(a.left_out), origin=Origin.REQUEST),
-    Figure("warnings", LINES, lambda a: list(a.warnings), origin=Origin.REQUEST),
+    Figure("left_out", LINES, lambda a: list(a.left_out), recomputed=False),
+    Figure("warnings", LINES, lambda a: list(a.warnings), recomputed=False),
     Figure("static_tests", _typed("array", items=ref("static_test")), lambda a: list(a.static_tests),
            "what came of the protocol's static tests, of each impact place that one of the φ stands for",
-           origin=Origin.TESTED, optional=True),
+           recomputed=False, optional=True),
     Figure("name", TEXT, None, of=Of.PHI),
     Figure("trials", COUNT, None, "aborted ones included", Of.PHI),
     Figure("failed", COUNT, None, of=Of.PHI),
@@ -409,26 +398,26 @@ FIGURES = (
     Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve"))),
            lambda a: a.vulnerability and a.vulnerability.as_dict()),
     Figure("seconds", Kind(ref("number"), "s"), lambda a: round(a.seconds, 3),
-           "wall-clock time of the command, of a sweep of this car, s", _SETTING, origin=Origin.REQUEST, campaign=24),
+           "wall-clock time of the command, of a sweep of this car, s", _SETTING, recomputed=False, campaign=24),
     Figure("seed", COUNT, lambda a: a.plan.seed, of=_SETTING, compare=22, junit=10),
-    Figure("controller", TEXT, lambda a: a.plan.controller, of=_SETTING, origin=Origin.REQUEST),
+    Figure("controller", TEXT, lambda a: a.plan.controller, of=_SETTING, recomputed=False),
     Figure("multiplier", NUMBER, lambda a: a.plan.car.stated_multiplier, "C of the basic controller", _SETTING,
-           origin=Origin.REQUEST),
-    Figure("safe", TEXT, lambda a: a.plan.safe, "where φ are from", _SETTING, origin=Origin.REQUEST),
+           recomputed=False),
+    Figure("safe", TEXT, lambda a: a.plan.safe, "where φ are from", _SETTING, recomputed=False),
     Figure("simulations", _typed("integer", minimum=1), lambda a: a.plan.simulations,
-           of=_SETTING, origin=Origin.REQUEST),
+           of=_SETTING, recomputed=False),
     Figure("maximum_distance", LENGTH, lambda a: a.plan.maximum_distance, "m", _SETTING),
     Figure("knowledge", Kind({"enum": ["nothing", "learned", "known", "itself"]}), lambda a: str(a.plan.knows),
-           "what the adversary knows of the car", _SETTING, origin=Origin.REQUEST, compare=14, junit=6),
+           "what the adversary knows of the car", _SETTING, recomputed=False, compare=14, junit=6),
     Figure("options", _typed("object"), lambda a: further_options(a.plan),
-           "further options that were not as by default", _SETTING, origin=Origin.REQUEST),
+           "further options that were not as by default", _SETTING, recomputed=False),
     Figure("car_model", _typed("object", "null"),
-           lambda a: json.loads(a.plan.car_model) if a.plan.car_model else None, of=_SETTING, origin=Origin.REQUEST),
+           lambda a: json.loads(a.plan.car_model) if a.plan.car_model else None, of=_SETTING, recomputed=False),
     Figure("scenario", _typed("object", required=["name", "time_step", "eta_max"]),
-           lambda a: a.plan.scenario.as_dict(), "as in its YAML file", _SETTING, origin=Origin.REQUEST),
-    Figure("version", TEXT, lambda _a: version(), "of SKD", _SETTING, origin=Origin.REQUEST, compare=23, junit=11),
+           lambda a: a.plan.scenario.as_dict(), "as in its YAML file", _SETTING, recomputed=False),
+    Figure("version", TEXT, lambda _a: version(), "of SKD", _SETTING, recomputed=False, compare=23, junit=11),
     Figure("provenance", Kind(or_null(ref("provenance"))), lambda a: a.stated_provenance(), of=_SETTING,
-           origin=Origin.REQUEST),
+           recomputed=False),
 )  # fmt: skip
 
 AT_THE_TOP = {one.key: one for one in FIGURES if one.of not in (Of.OBJECTIVE, Of.PHI, Of.PHI_TOP)}

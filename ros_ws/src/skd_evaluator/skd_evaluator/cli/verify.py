@@ -41,19 +41,11 @@ def _verified(folder: Path) -> Verified:
 
 def _lines(one: Verified) -> list[str]:
     lines = [f"{one.folder}: {'fine' if one.fine else 'NOT FINE'}"]
-    if one.files is not None:
-        lines.append(f"  {counted(len(one.files.same), 'file')} as written")
-        for what, names in (
-            ("changed since it was written", one.files.changed),
-            ("gone", one.files.missing),
-            ("not of this result", one.files.others),
-        ):
-            lines += _some([f"  {name}: {what}" for name in names])
-    if one.unknown is not None:
-        lines.append(f"  {counted(len(one.agree), 'figure')} recomputed, and as said")
+    lines += _some([f"  {name}: {what}" for name, what in (one.files or {}).items()])
+    lines.append(f"  {counted(len(one.agree), 'figure')} recomputed, and as said")
     lines += _some([f"  contradicted: {line}" for line in one.contradict])
     lines += _some([f"  wrong: {line}" for line in one.problems])
-    lines += [f"  not recomputed ({reason}): {', '.join(names)}" for reason, names in (one.unknown or {}).items()]
+    lines += [f"  not recomputed: {', '.join(one.unknown)}"] if one.unknown else []
     return [*lines, *(f"  {line}" for line in one.remarks)]
 
 

@@ -16,7 +16,6 @@ import shutil
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -267,23 +266,6 @@ _OWN = (MANIFEST, f"{MANIFEST}.sig")
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\x00-\x1f\\]+)")
 
 
-@dataclass(frozen=True)
-class Held:
-    """A folder held against its manifest; names are relative to the folder, and sorted.
-
-    Attributes:
-        same: files that are what was written.
-        changed: files that are not.
-        missing: files that are not there.
-        others: files that the manifest does not know.
-    """
-
-    same: tuple[str, ...]
-    changed: tuple[str, ...]
-    missing: tuple[str, ...]
-    others: tuple[str, ...]
-
-
 def write_manifests(folder: Path) -> None:
     """Write the manifest of a folder, and before that one in each folder below it that holds an assessment.
 
@@ -322,16 +304,16 @@ def read_manifest(folder: Path) -> dict[str, str] | None:
     return found
 
 
-def hold(folder: Path, manifest: dict[str, str]) -> Held:
-    """Hold the files of a folder against a manifest of it."""
-    there, known = set(_files(folder)), sorted(manifest)
-    same = [name for name in known if name in there and sha256_of(folder / name) == manifest[name]]
-    return Held(
-        tuple(same),
-        tuple(name for name in known if name in there and name not in same),
-        tuple(name for name in known if name not in there),
-        tuple(sorted(there - set(known))),
-    )
+CHANGED, GONE, FOREIGN = "changed since it was written", "gone", "not of this result"
+
+
+def compared(folder: Path, manifest: Mapping[str, str]) -> dict[str, str]:
+    """Return which files of a folder are not as its manifest has them: what is wrong, by their names."""
+    there = set(_files(folder))
+    found = {name: GONE for name in manifest if name not in there}
+    found |= {name: CHANGED for name in there & manifest.keys() if sha256_of(folder / name) != manifest[name]}
+    found |= dict.fromkeys(there - manifest.keys(), FOREIGN)
+    return dict(sorted(found.items()))
 
 
 def check_unchanged(folder: Path, names: Iterable[str]) -> bool:

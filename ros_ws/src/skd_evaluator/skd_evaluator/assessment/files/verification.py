@@ -6,6 +6,7 @@ is imported. What a car is called, how much was searched and what was requested 
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -22,10 +23,10 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, Origin
+from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures
-from skd_evaluator.assessment.files.result_folder import MANIFEST, Held, hold, read_manifest
+from skd_evaluator.assessment.files.result_folder import CHANGED, GONE, MANIFEST, compared, read_manifest
 from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, kamikaze_set
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import not_credible
@@ -167,42 +168,30 @@ class Verified:
 
     Attributes:
         folder: folder that was looked at.
-        files: comparison of its files with its manifest; None if it has no manifest.
+        files: files that are not as its manifest has them, what is wrong by name; None if it has no manifest.
         agree: names of figures that follow from its episodes.
         contradict: figures that do not, a line each.
-        unknown: names of figures that cannot be recomputed from the folder, by the reason.
+        unknown: names of figures that cannot be recomputed from the folder.
         problems: whatever else is wrong, a line each.
         remarks: remarks for the reader, a line each.
     """
 
     folder: Path
-    files: Held | None
+    files: Mapping[str, str] | None
     agree: tuple[str, ...] = ()
     contradict: tuple[str, ...] = ()
-    unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    unknown: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
     def fine(self) -> bool:
         """Whether nothing was found that speaks against the folder."""
-        files = self.files
-        return not (self.contradict or self.problems or (files is not None and (files.changed or files.missing)))
+        return not (self.contradict or self.problems or {CHANGED, GONE} & {*(self.files or {}).values()})
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        files = self.files
-        parts = ("same", "changed", "missing", "others")
-        return {
-            "folder": str(self.folder),
-            "fine": self.fine,
-            "files": None if files is None else {name: list(getattr(files, name)) for name in parts},
-            "agree": list(self.agree),
-            "contradict": list(self.contradict),
-            "unknown": {reason: list(names) for reason, names in self.unknown.items()},
-            "problems": list(self.problems),
-            "remarks": list(self.remarks),
-        }
+        return {**dataclasses.asdict(self), "folder": str(self.folder), "fine": self.fine}
 
 
 def folders_below(folder: Path) -> list[Path]:
@@ -226,43 +215,31 @@ def folders_below(folder: Path) -> list[Path]:
 
 def verify(folder: Path) -> Verified:
     """Return what is to be said of a folder of a result, whatever is wrong with it."""
-    files, problems, remarks = None, [], []
-    agree: tuple[str, ...] = ()
-    contradict: tuple[str, ...] = ()
-    unknown: dict[str, tuple[str, ...]] = {}
+    found = Verified(folder, None)
     try:
         manifest = read_manifest(folder)
         if manifest is not None:
-            files = hold(folder, manifest)
+            found = replace(found, files=compared(folder, manifest))
         elif not (folder / _CAMPAIGN).exists():
-            remarks.append(f"no {MANIFEST}: that a file was changed cannot be told")
+            found = replace(found, remarks=(f"no {MANIFEST}: that a file was changed cannot be told",))
         if (folder / _CAMPAIGN).exists():
-            problems += _rows_that_differ(folder)
-        if ASSESSMENT in {path.name for path in folder.iterdir()} | {*(manifest or {})}:
+            found = replace(found, problems=_rows_that_differ(folder))
+        if (folder / ASSESSMENT).exists() or ASSESSMENT in (manifest or {}):
             figures, stored = read_figures(folder), read_episodes(folder)
-            remarks += not_credible(figures.get("warnings") or ())
+            found = replace(found, remarks=(*found.remarks, *not_credible(figures.get("warnings") or ())))
             with understood(folder / ASSESSMENT):
-                found = json.loads(json.dumps(assessment_from_file(figures, stored).as_dict()))
-                agree, contradict = _compared(figures, found)
-            for reason, rows in _not_from_episodes(figures).items():
-                unknown[reason] = rows
+                again = json.loads(json.dumps(assessment_from_file(figures, stored).as_dict()))
+                agree, contradict = _compared(figures, again)
+            unknown = tuple(name for name in figures if name in AT_THE_TOP and not AT_THE_TOP[name].recomputed)
+            found = replace(found, agree=agree, contradict=contradict, unknown=unknown)
     except UsageError as error:
-        problems.append(str(error))
-    return Verified(folder, files, agree, contradict, unknown, tuple(problems), tuple(remarks))
+        found = replace(found, problems=(*found.problems, str(error)))
+    return found
 
 
 def _follows(name: str) -> bool:
     """Return whether an entry at the top of assessment.json follows from the episodes beside it."""
-    return name in AT_THE_TOP and AT_THE_TOP[name].origin is Origin.EPISODES
-
-
-def _not_from_episodes(figures: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """Return the names of the entries that do not follow from the episodes, by the reason."""
-    reasons: dict[str, list[str]] = {}
-    for name in figures:
-        if name in AT_THE_TOP and not _follows(name):
-            reasons.setdefault(str(AT_THE_TOP[name].origin), []).append(name)
-    return {reason: tuple(names) for reason, names in reasons.items()}
+    return name in AT_THE_TOP and AT_THE_TOP[name].recomputed
 
 
 def _compared(figures: Mapping[str, Any], found: dict[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -304,12 +281,13 @@ def _shown(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"
 
 
-def _rows_that_differ(folder: Path) -> list[str]:
+def _rows_that_differ(folder: Path) -> tuple[str, ...]:
     """Return which rows of a campaign are not of the results in the folders of its cells, a line each."""
-    path, found = folder / _CAMPAIGN, []
+    path = folder / _CAMPAIGN
     with understood(path):
-        for row in read_json(path)["cells"]:
-            for name, digest in row["sha256"].items():
-                if sha256_of(folder / row["name"] / name) != digest:
-                    found.append(f"{path}: cell {row['name']}: {name} is not the file that the row is of")
-    return found
+        return tuple(
+            f"{path}: cell {row['name']}: {name} is not the file that the row is of"
+            for row in read_json(path)["cells"]
+            for name, digest in row["sha256"].items()
+            if sha256_of(folder / row["name"] / name) != digest
+        )
