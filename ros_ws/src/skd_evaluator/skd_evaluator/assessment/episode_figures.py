@@ -97,17 +97,17 @@ def simulator_contacts(logs: Iterable[EpisodeLog]) -> dict[str, Any]:
     Args:
         logs: episodes; aborted ones do not count.
     """
-    asked = [log for log in logs if log.own_contact is not None and log.outcome != Outcome.ABORTED]
-    if not asked:
+    requested = [log for log in logs if log.own_contact is not None and log.outcome != Outcome.ABORTED]
+    if not requested:
         return {}
-    pairs = [(log.impact_time, float(log.own_contact or 0.0)) for log in asked]
+    pairs = [(log.impact_time, float(log.own_contact or 0.0)) for log in requested]
     found = [(not math.isnan(ours), not math.isnan(its)) for ours, its in pairs]
     gaps = [abs(ours - its) for ours, its in pairs if not math.isnan(ours - its)]
     return {
         "both": found.count((True, True)),
         "geometry_alone": found.count((True, False)),
         "simulator_alone": found.count((False, True)),
-        "episodes": len(asked),
+        "episodes": len(requested),
         "greatest_gap": max(gaps, default=None),
     }
 
@@ -171,8 +171,8 @@ class Surrogates:
         for log, objective, *values in zip(self.logs, self.objectives, *self.values.values(), strict=True):
             number = log.episode.episode_id
             _, phi, trial = split_episode_id(number)
-            told = [f"{one:.9g}" if math.isfinite(one) else "" for one in values]
-            rows.writerow([objective, number, phi, trial, log.outcome.name.lower(), *told])
+            stated = [f"{one:.9g}" if math.isfinite(one) else "" for one in values]
+            rows.writerow([objective, number, phi, trial, log.outcome.name.lower(), *stated])
 
     def _group(self, rows: Any, who: str) -> dict[str, Any]:
         found: dict[str, Any] = {"depends_on": DEPENDS_ON[who], "episodes": int(np.count_nonzero(rows))}

@@ -148,7 +148,7 @@ class Walkers:
         number = episode_id(Stage.RISK, row % len(self.safe), row // len(self.safe))
         return generator(self.seed, number, Role.WALKER).standard_normal(normals_of(self.scenario.ticks))
 
-    def way(self, row: int, normals: FloatArray, scale: float) -> FloatArray:
+    def track(self, row: int, normals: FloatArray, scale: float) -> FloatArray:
         """Return where the walker of a crossing is at ticks, m."""
         return walked(self.safe[row % len(self.safe)], self.values, normals, scale, self.scenario.time_step)
 
@@ -160,12 +160,12 @@ class Walkers:
         return Failure(row, row % phis, row // phis, self._kind(row, normals, scale, ticks), deviation)
 
     def _kind(self, row: int, normals: FloatArray, scale: float, ticks: int) -> str:
-        phi, whole = self.safe[row % len(self.safe)], self.way(row, normals, scale)
+        phi, whole = self.safe[row % len(self.safe)], self.track(row, normals, scale)
         there = _at(phi, ticks)
         if math.dist(_at(whole, ticks), there) < CLOSE:
             return HARDLY
-        ways = {name: self.way(row, normals * _mask(name, len(normals)), scale) for name in _GROUPS}
-        off = {name: _at(way, ticks) - there for name, way in ways.items()}
+        tracks = {name: self.track(row, normals * _mask(name, len(normals)), scale) for name in _GROUPS}
+        off = {name: _at(track, ticks) - there for name, track in tracks.items()}
         name = max(off, key=lambda one: float(np.hypot(*off[one])))  # the first of those that are equal
         if name == "start":
             return "starts late" if normals[OF_PERSON.index("start")] > 0.0 else "starts early"
@@ -177,7 +177,7 @@ class Walkers:
             here, meant = right_and_along(self.scenario.road.line, np.array([there + off[name], there]))[:, 1]
             return "drifts towards the car" if here < meant else "drifts away from the car"
         if name == "doubt":
-            return f"hesitates {self._where(phi, ways[name], whole, ticks)}"
+            return f"hesitates {self._where(phi, tracks[name], whole, ticks)}"
         return "sways"
 
     def _where(self, phi: FloatArray, doubting: FloatArray, whole: FloatArray, ticks: int) -> str:
@@ -252,7 +252,7 @@ def _mask(group: str, count: int) -> FloatArray:
     return found
 
 
-def _at(way: FloatArray, tick: int) -> FloatArray:
+def _at(track: FloatArray, tick: int) -> FloatArray:
     """Return where a way is at a tick; at its end after it."""
-    found: FloatArray = way[min(tick, len(way) - 1)]
+    found: FloatArray = track[min(tick, len(track) - 1)]
     return found

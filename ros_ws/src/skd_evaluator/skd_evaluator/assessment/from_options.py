@@ -112,8 +112,8 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
         plain["safe_count"] = min(plain["safe_count"], count_safe_trajectories(REGULATORY, scenario))
     controller = plain.get("controller", CampaignOptions.controller)  # a sweep has basic cars only
     car, model = CarUnderTest(controller, plain["multiplier"]), bool(plain["car_model"])
-    asked = plain.get("knowledge")
-    known = Knowledge(asked) if asked else Knowledge.LEARNED if model else default_knowledge(car)
+    requested = plain.get("knowledge")
+    known = Knowledge(requested) if requested else Knowledge.LEARNED if model else default_knowledge(car)
     check_knowledge(known, car, model=model)
     plain["knowledge"] = str(known)
     if model:

@@ -136,9 +136,9 @@ def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
     bodies: list[tuple[Body, FloatArray]] = [(scenario.adversary, log.adversary)]
     bodies += [(other, np.array([at[i][:2] for at in seen])) for i, other in enumerate(scenario.others)]
     found: list[FirstTouch | None] = []
-    for body, way in bodies:
+    for body, track in bodies:
         tick, fraction, speed = _touches(
-            way,
+            track,
             log.car,
             scenario.road.line,
             (car.front - margin, car.rear - margin, car.half_width - margin),
@@ -416,14 +416,14 @@ def _driven(log: EpisodeLog) -> str:
     hard = np.flatnonzero(change > most + 1e-9)
     if hard.size:
         return f"the car's speed changes by {change[hard[0]]:.3g} m/s in tick {hard[0]}"
-    way = np.hypot(*np.diff(driven[:, :2], axis=0).T)
+    track = np.hypot(*np.diff(driven[:, :2], axis=0).T)
     should = 0.5 * step * np.abs(speed[:-1] + speed[1:])
-    apart = way - should
+    apart = track - should
     if log.outcome == Outcome.COLLISION:
         apart[-1:] = np.maximum(apart[-1:], 0.0)  # a simulator may end the tick at the contact
     far = np.flatnonzero(np.abs(apart) > 2.0 * play_of(step))
     if far.size:
-        return f"the car goes {way[far[0]]:.3g} m in tick {far[0]}, its speeds say {should[far[0]]:.3g} m"
+        return f"the car goes {track[far[0]]:.3g} m in tick {far[0]}, its speeds say {should[far[0]]:.3g} m"
     return ""
 
 
@@ -469,8 +469,8 @@ def _gap_at(log: EpisodeLog, place: FloatArray) -> float:
     car = log.episode.scenario.car
     line = log.episode.scenario.road.line
     if not log.episode.scenario.road.straight:
-        way = driven(line, False, log.car[-2], log.car[-1])
-        seen = [to_car_frame(float(place[0]), float(place[1]), *pose) for pose in way[:, :3].tolist()]
+        track = driven(line, False, log.car[-2], log.car[-1])
+        seen = [to_car_frame(float(place[0]), float(place[1]), *pose) for pose in track[:, :3].tolist()]
         return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
     x = 0.5 * (log.car[-2, 0] + log.car[-1, 0])
     ahead, left = to_car_frame(float(place[0]), float(place[1]), float(x), float(log.car[-2, 1]), HEADING_NORTH)

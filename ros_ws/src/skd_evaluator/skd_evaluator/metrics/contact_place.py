@@ -144,21 +144,21 @@ def _share_driven(scenario: Scenario, ends: FloatArray, share: float, impact: fl
     """Return the share of a tick's way that the car has driven at a contact; see `pose_at_contact`."""
     if moves_uniformly(scenario, ends):
         return share
-    way, first, last = _way(scenario, ends), float(ends[0, 3]), float(ends[1, 3])
-    if not (way > 0.0 and 0.0 < share < 1.0):
+    track, first, last = _way(scenario, ends), float(ends[0, 3]), float(ends[1, 3])
+    if not (track > 0.0 and 0.0 < share < 1.0):
         return min(1.0, max(0.0, share))
     passed, left = share * scenario.time_step, (1.0 - share) * scenario.time_step
     until, beyond = travelled(first, impact, passed), travelled(impact, last, left)
-    if way < until + 0.5 * beyond - _BENT:  # the tick ends with the contact
+    if track < until + 0.5 * beyond - _BENT:  # the tick ends with the contact
         driven = until
     elif last <= 0.0:  # it stands before the tick ends, and since when is not known
-        driven = way - min(beyond, max(0.0, way - until))
+        driven = track - min(beyond, max(0.0, track - until))
     elif DYNAMICS[scenario.car.dynamics].known:
-        driven = way - _driven_after(impact, last, share, scenario)
+        driven = track - _driven_after(impact, last, share, scenario)
     else:
         late = passed**3 / (passed**3 + left**3)  # what a bent speed comes to grows with the cube of the time
-        driven = until + late * (way - until - beyond)
-    return min(1.0, max(0.0, driven / way))
+        driven = until + late * (track - until - beyond)
+    return min(1.0, max(0.0, driven / track))
 
 
 def _driven_after(impact: float, last: float, share: float, scenario: Scenario) -> float:

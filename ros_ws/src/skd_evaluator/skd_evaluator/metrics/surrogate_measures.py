@@ -209,17 +209,17 @@ def least_clearances(scenes: Interactions) -> FloatArray:
     least = scenes.least(apart)
     of = np.repeat(np.arange(len(least)), np.diff(scenes.starts))
     starts = np.flatnonzero(np.arange(len(scene)) < scenes.last)
-    way = scene.seen[starts + 1] - scene.seen[starts]
+    track = scene.seen[starts + 1] - scene.seen[starts]
     # A distance changes by no more than the way: most stretches cannot have the least one inside of them. A box keeps
     # its heading along a stretch, and turns at its end.
     end = _apart(scene, scene.seen[starts + 1], scene.turned_from_car[starts])
-    nearest = 0.5 * (apart[starts] + end - np.hypot(*way.T))
+    nearest = 0.5 * (apart[starts] + end - np.hypot(*track.T))
     may = nearest < least[of[starts]]
-    starts, way = starts[may], way[may]
+    starts, track = starts[may], track[may]
     start, turned = scene.seen[starts], scene.turned_from_car[starts]
 
     def at(share: FloatArray) -> FloatArray:
-        return _apart(scene, start + share[:, None] * way, turned)
+        return _apart(scene, start + share[:, None] * track, turned)
 
     low, high = np.zeros(len(start)), np.ones(len(start))
     for _ in range(_STEPS):

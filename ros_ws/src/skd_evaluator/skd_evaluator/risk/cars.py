@@ -73,10 +73,10 @@ class AnyCar:
         found = []
         for phi, normals, draw in zip(crossings.phi.tolist(), crossings.walker, crossings.draw.tolist(), strict=True):
             spec, intended = self._specs[phi], self._crossing_plan.safe[phi]
-            way = walked(intended.positions, self._crossing_plan.values, normals, scale, intended.time_step)
-            way = until_obstacle(spec.scenario, way)
+            track = walked(intended.positions, self._crossing_plan.values, normals, scale, intended.time_step)
+            track = until_obstacle(spec.scenario, track)
             number = episode_id(Stage.RISK, phi, draw)
-            trajectory = Trajectory(way, intended.time_step, intended.name)
+            trajectory = Trajectory(track, intended.time_step, intended.name)
             found.append(replace(spec, episode_id=number, safe_trajectory=trajectory))
         return found
 
@@ -89,16 +89,16 @@ class AnyCar:
         return found
 
 
-def until_obstacle(scenario: Scenario, way: FloatArray) -> FloatArray:
+def until_obstacle(scenario: Scenario, track: FloatArray) -> FloatArray:
     """Return a way as far as the last tick before it runs into an obstacle, but for its first step."""
     if not len(scenario.rectangles):
-        return way
-    step = np.diff(way, axis=0) / scenario.time_step
+        return track
+    step = np.diff(track, axis=0) / scenario.time_step
     for tick, (vx, vy) in enumerate(step.tolist()):
-        x, y = way[tick + 1].tolist()
+        x, y = track[tick + 1].tolist()
         if scenario.ran_into_obstacle(AdversaryState(x, y, vx, vy, 0.0)):
-            return way[: max(tick + 1, 2)]
-    return way
+            return track[: max(tick + 1, 2)]
+    return track
 
 
 def ends_of(logs: Sequence[EpisodeLog]) -> Ends:
@@ -233,13 +233,13 @@ def crossing_numbers(episode: EpisodeSpec) -> CrossingNumbers:
 
 @kernel
 def cross(
-    course: CrossingNumbers, way: FloatArray, count: int, gap: float, draws: FloatArray, path: FloatArray
+    course: CrossingNumbers, track: FloatArray, count: int, gap: float, draws: FloatArray, path: FloatArray
 ) -> tuple[int, float, int]:
     """Let the car meet somebody who walks a way.
 
     Args:
         course: the scenario.
-        way: places at ticks, m.
+        track: places at ticks, m.
         count: how many of them.
         gap: front bumper to the crossing line before the draw, m.
         draws: uniform in [0, 1): of the start, then of speed and acceleration in each tick.
@@ -254,7 +254,7 @@ def cross(
     speed, least = course.start_speed, math.inf
     footprint = (course.front, course.rear, course.half_width)
     for tick in range(count - 1):
-        here, there = (way[tick, 0], way[tick, 1]), (way[tick + 1, 0], way[tick + 1, 1])
+        here, there = (track[tick, 0], track[tick, 1]), (track[tick + 1, 0], track[tick + 1, 1])
         ahead, _ = to_car_frame(here[0], here[1], x, y, heading)
         command = basic_acceleration(ahead - course.front, course.trigger, course.deceleration)
         speed_draw = course.speed_noise * (2.0 * draws[1 + 2 * tick] - 1.0)
@@ -300,14 +300,14 @@ def cross_many(
 ) -> None:
     """Run crossings; `car` has standard normals, or what is uniform in [0, 1) already."""
     ticks = (car.shape[1] - 1) // 2
-    way, path, draws = np.empty((ticks + 1, 2)), np.empty((2, 4)), np.empty(car.shape[1])
+    track, path, draws = np.empty((ticks + 1, 2)), np.empty((2, 4)), np.empty(car.shape[1])
     for row in range(phi.shape[0]):
         index = phi[row]
         intended = paths[index, : lengths[index]]
-        count = walk(intended, values, walker[row], scale, course.time_step, way)
+        count = walk(intended, values, walker[row], scale, course.time_step, track)
         for at in range(draws.shape[0]):
             draws[at] = 0.5 * math.erfc(-car[row, at] * math.sqrt(0.5)) if normal else car[row, at]
-        touch[row], missed[row], lasted[row] = cross(course, way, count, gaps[index], draws, path)
+        touch[row], missed[row], lasted[row] = cross(course, track, count, gaps[index], draws, path)
 
 
 class KnownCar:

@@ -120,8 +120,8 @@ class Comparison:
         three times as much are hit less, and few who deviate once are hit by a good one.
         """
         says = set(self._sure.values())
-        asked = [name for name in self._deciding if name not in RISKS or name == RANKING_RISK]
-        return tuple(name for name in asked if says == {-_SIGNS[name] * self.differences[name].leaning})
+        requested = [name for name in self._deciding if name not in RISKS or name == RANKING_RISK]
+        return tuple(name for name in requested if says == {-_SIGNS[name] * self.differences[name].leaning})
 
     @property
     def behind_by(self) -> str | None:
@@ -143,9 +143,9 @@ class Comparison:
     @property
     def decided_by(self) -> str | None:
         """Figure that decides: a risk, where the margin does not tell the cars apart and the risk does."""
-        told = list(self._sure)
-        undecided = self.verdict in (NOT_TOLD_APART, NOT_COMPARED) or not told
-        return self.judged_by if undecided or self.judged_by in told else told[0]
+        stated = list(self._sure)
+        undecided = self.verdict in (NOT_TOLD_APART, NOT_COMPARED) or not stated
+        return self.judged_by if undecided or self.judged_by in stated else stated[0]
 
     @property
     def design(self) -> str:
@@ -295,9 +295,9 @@ def _of_the_judge(held: Comparison) -> list[str]:
                 f"candidates a trial; {100 * CONVERGED_WITHIN:g} % of each margin may be the search's, and the "
                 "interval allows for that"
             )
-        ways = [one.figures["margin_how"] or "" for one in both]
-        if ways[0] != ways[1]:
-            said = " and ".join(way or "on the car itself, in process" for way in ways)
+        tracks = [one.figures["margin_how"] or "" for one in both]
+        if tracks[0] != tracks[1]:
+            said = " and ".join(track or "on the car itself, in process" for track in tracks)
             found.append(
                 f"margins of {held.first.folder} and {held.second.folder} were found in different ways: {said}"
             )

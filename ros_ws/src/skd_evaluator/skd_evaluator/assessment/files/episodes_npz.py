@@ -238,18 +238,18 @@ def _margin_columns(assessment: Assessment) -> Columns:
     """
     if assessment.margins is None:
         return {}
-    rows = [(index, trial, way) for index, ways in enumerate(assessment.margins.hits) for trial, way in enumerate(ways)]
-    ways = [way for _, _, way in rows]
-    lengths = [0 if way is None else len(way.trajectory) for way in ways]
+    rows = [(index, trial, hit) for index, mine in enumerate(assessment.margins.hits) for trial, hit in enumerate(mine)]
+    hits = [hit for _, _, hit in rows]
+    lengths = [0 if hit is None else len(hit.trajectory) for hit in hits]
     return {
-        "margin": np.array([math.nan if way is None else way.distance for way in ways]),
-        "margin_gap": np.array([math.nan if way is None else way.gap for way in ways]),
+        "margin": np.array([math.nan if hit is None else hit.distance for hit in hits]),
+        "margin_gap": np.array([math.nan if hit is None else hit.gap for hit in hits]),
         "margin_safe_index": np.array([index for index, _, _ in rows], np.int32),
         "margin_trial": np.array([trial for _, trial, _ in rows], np.int64),
-        "margin_duration": np.array([math.nan if way is None else way.duration for way in ways]),
-        "margin_impact_speed": np.array([math.nan if way is None else way.impact_speed for way in ways]),
+        "margin_duration": np.array([math.nan if hit is None else hit.duration for hit in hits]),
+        "margin_impact_speed": np.array([math.nan if hit is None else hit.impact_speed for hit in hits]),
         "margin_positions": np.concatenate(
-            [np.empty((0, 2)), *(w.trajectory.positions for w in ways if w is not None)]
+            [np.empty((0, 2)), *(w.trajectory.positions for w in hits if w is not None)]
         ),
         "margin_offsets": np.cumsum([0, *lengths], dtype=np.int64),
     }
@@ -412,7 +412,7 @@ class StoredEpisodes:
         """Return per φ the margin of each trial, m, η_max where nobody can be hit; None where it is not known."""
         if not self.margin_hits:
             return None
-        every = ([math.inf if way is None else way.distance for way in ways] for ways in self.margin_hits)
+        every = ([math.inf if track is None else track.distance for track in tracks] for tracks in self.margin_hits)
         return tuple(np.minimum(np.array(one, np.float64), eta_max) for one in every)
 
     @cached_property
@@ -474,18 +474,18 @@ def read_episodes(folder: Path, name: str = EPISODES) -> StoredEpisodes:
     safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
     rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
     states = {"positions": arrays["positions"], "car": _car_states("", arrays)}
-    ways = {name: tuple(one[slice(*spans[row])] for row in rest) for name, one in states.items()}
+    tracks = {name: tuple(one[slice(*spans[row])] for row in rest) for name, one in states.items()}
     if "belief" in arrays:
         with np.errstate(invalid="ignore"):  # nan of a kind that signals is nan
-            ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
+            tracks["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
     whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
     phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
     margin_hits = _margin_ways(arrays, phis, path)
     stored = StoredEpisodes(
         safe=phis,
         time_step=float(arrays["time_step"]),
-        adversary=ways["positions"],
-        car=ways["car"],
+        adversary=tracks["positions"],
+        car=tracks["car"],
         mode=whole["mode"],
         objective=arrays["objective"][rest],
         safe_index=whole["safe_index"],
@@ -493,7 +493,7 @@ def read_episodes(folder: Path, name: str = EPISODES) -> StoredEpisodes:
         episode_id=whole["episode_id"],
         impact_time=arrays["impact_time"][rest],
         impact_speed=arrays["impact_speed"][rest],
-        belief=ways.get("belief", ()),
+        belief=tracks.get("belief", ()),
         hit_speed=float(arrays["hit_speed"]),
         margin_hits=margin_hits,
         further=_further(arrays, rest),
@@ -536,11 +536,11 @@ def _margin_ways(
         if (arrays["margin_trial"][rows] != np.arange(rows.size)).any():
             raise UsageError(f"{path}: the trials of the margins are not numbered from 0")
         known = rows[np.isfinite(said[rows])]
-        ways = [positions[offsets[row] : offsets[row + 1]] for row in known.tolist()]
+        tracks = [positions[offsets[row] : offsets[row + 1]] for row in known.tolist()]
         durations, speeds = arrays["margin_duration"][known], arrays["margin_impact_speed"][known]
         try:
-            trajectories = [Trajectory(way, step) for way in ways]
-            distances = deviation_pairs(phi, ways, durations)
+            trajectories = [Trajectory(track, step) for track in tracks]
+            distances = deviation_pairs(phi, tracks, durations)
         except (ValueError, IndexError) as error:
             raise UsageError(f"{path}: a trajectory of the margins: {error}") from error
         if (np.abs(distances - said[known]) > _ROUNDING).any():
@@ -586,7 +586,7 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
         return f"a state is not finite, or beyond ±{FARTHEST:g}"
     hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
     if (np.diff(offsets)[hit] < 2).any() or not within_reach(arrays["impact_time"][hit]):
-        return "a collision has no way or no time"
+        return "a collision has no trajectory or no time"
     speeds = arrays["impact_speed"][hit]
     if not (within_reach(speeds) and (speeds >= 0.0).all()):
         return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"

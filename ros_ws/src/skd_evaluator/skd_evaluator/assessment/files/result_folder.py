@@ -136,11 +136,11 @@ class ResultFolder:
                 replaced.rename(self._target)
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
-            asked, self.path = self.path, _free(self._target)
+            requested, self.path = self.path, _free(self._target)
             temporary.rename(self.path)
             note_in_place(self.path)
             raise ElsewhereError(
-                f"--out {asked}: something was put there meanwhile; the results are in {self.path}"
+                f"--out {requested}: something was put there meanwhile; the results are in {self.path}"
             ) from error
         note_in_place(self.path)
         remove(replaced)

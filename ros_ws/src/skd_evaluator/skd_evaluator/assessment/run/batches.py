@@ -44,7 +44,7 @@ TOLERANCE: Final = 1e-4
 """m/s² by which both forms may differ: what sums of single precision in another order come to."""
 
 
-class _Asked(NamedTuple):
+class _Request(NamedTuple):
     """What `commands` was asked in a control period of a tick, and answered.
 
     Attributes:
@@ -224,7 +224,7 @@ def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
     assert first.mode == Mode.REPLAY, first.mode
     assert not why_not_side_by_side(first), why_not_side_by_side(first)
     policy = _made(first)
-    asked_of_all: list[_Asked] = []
+    requests: list[_Request] = []
     numbers, scenario, count = _numbers(first), first.scenario, len(episodes)
     limit = scenario.ticks
     ends = np.array([min(limit, len(one.safe_trajectory or ()) - 1) for one in episodes], np.int64)
@@ -243,16 +243,16 @@ def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
         if not rows.size:
             break
         for period in range(numbers.periods):
-            asked = rows if period == 0 else rows[states[rows, SHARE] > 1.0]
-            if not asked.size:
+            requested = rows if period == 0 else rows[states[rows, SHARE] > 1.0]
+            if not requested.size:
                 break
-            seen = np.ascontiguousarray(states[asked, : USER.stop].T)
+            seen = np.ascontiguousarray(states[requested, : USER.stop].T)
             commands = policy.commands(seen)
-            asked_of_all.append(_Asked(tick, asked, seen, commands))
-            _advance_all(numbers, tick, period, asked, commands, velocities, noise, states)
+            requests.append(_Request(tick, requested, seen, commands))
+            _advance_all(numbers, tick, period, requested, commands, velocities, noise, states)
         found[rows, tick + 1] = states[rows]
         last[rows[states[rows, SHARE] <= 1.0]] = tick + 1
-    _confirm(episodes, asked_of_all)
+    _confirm(episodes, requests)
     return [_log(one, found[row, : last[row] + 1]) for row, one in enumerate(episodes)]
 
 
@@ -295,7 +295,7 @@ def _made(episode: EpisodeSpec) -> UserController:
     return controller
 
 
-def _confirm(episodes: Sequence[EpisodeSpec], asked_of_all: Sequence[_Asked]) -> None:
+def _confirm(episodes: Sequence[EpisodeSpec], requests: Sequence[_Request]) -> None:
     """Ask the single form what `commands` was asked: some episodes as a whole, and then each once.
 
     Raises:
@@ -304,46 +304,46 @@ def _confirm(episodes: Sequence[EpisodeSpec], asked_of_all: Sequence[_Asked]) ->
     rng = generator(episodes[0].seed, episodes[0].episode_id, Role.ORDER, len(episodes))
     for row in sorted(rng.permutation(len(episodes))[: -(-len(episodes) // ONE_IN)].tolist()):
         single = _made(episodes[row])
-        for asked in asked_of_all:
-            for at in np.flatnonzero(asked.rows == row).tolist():
-                _compare(single, episodes[row], asked, at)
+        for requested in requests:
+            for at in np.flatnonzero(requested.rows == row).tolist():
+                _compare(single, episodes[row], requested, at)
     single = _made(episodes[0])
-    moments = _moments(asked_of_all, len(episodes), rng)
+    moments = _moments(requests, len(episodes), rng)
     for row in rng.permutation(len(episodes)).tolist():
         number, at = moments[row].tolist()
-        _compare(single, episodes[row], asked_of_all[number], at)
+        _compare(single, episodes[row], requests[number], at)
 
 
-def _moments(asked_of_all: Sequence[_Asked], count: int, rng: np.random.Generator) -> IntArray:
+def _moments(requests: Sequence[_Request], count: int, rng: np.random.Generator) -> IntArray:
     """Return a control period of each episode by lot, count × 2: its number, and the episode's place in it.
 
     They are drawn of those in which the car moves towards somebody ahead of it, where there are any: what it does there
     decides what becomes of the episode.
     """
     chosen, least = np.zeros((count, 2), np.int64), np.full(count, np.inf)
-    for number, asked in enumerate(asked_of_all):
-        moves_towards = (asked.states[3] > 0.0) & (asked.states[5] > asked.states[1])
-        lots = rng.random(len(asked.rows)) + ~moves_towards
-        better = np.flatnonzero(lots < least[asked.rows])
-        rows = asked.rows[better]
+    for number, requested in enumerate(requests):
+        moves_towards = (requested.states[3] > 0.0) & (requested.states[5] > requested.states[1])
+        lots = rng.random(len(requested.rows)) + ~moves_towards
+        better = np.flatnonzero(lots < least[requested.rows])
+        rows = requested.rows[better]
         least[rows] = lots[better]
         chosen[rows, 0], chosen[rows, 1] = number, better
     return chosen
 
 
-def _compare(single: UserController, episode: EpisodeSpec, asked: _Asked, at: int) -> None:
+def _compare(single: UserController, episode: EpisodeSpec, requested: _Request, at: int) -> None:
     """Ask the single form in one state.
 
     Raises:
         AssessmentError: it answers otherwise than `commands` did.
     """
-    numbers = asked.states[:, at].tolist()
+    numbers = requested.states[:, at].tolist()
     car, user = CarState(*numbers[:4]), AdversaryState(*numbers[4:])
     seen = Scene(car, user) if single.takes_scene else user
-    alone, together = single.command(car, seen), float(asked.commands[at])  # type: ignore[arg-type]
+    alone, together = single.command(car, seen), float(requested.commands[at])  # type: ignore[arg-type]
     if not abs(alone - together) <= TOLERANCE:
         raise AssessmentError(
             f"controller {episode.controller}: commands answers {together:.6g} m/s² where command answers "
-            f"{alone:.6g} m/s² (tick {asked.tick} of episode {episode.episode_id}): both have to be the same car, "
+            f"{alone:.6g} m/s² (tick {requested.tick} of episode {episode.episode_id}): both have to be the same car, "
             "without a memory of its own; mend commands, or leave it out"
         )

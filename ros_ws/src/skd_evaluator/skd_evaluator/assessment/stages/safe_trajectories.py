@@ -101,16 +101,16 @@ def _walker(scenario: Scenario, seed: int, number: int) -> Trajectory:
     along = step * np.arange(ticks + 1)[:, None] * np.array([scenario.end.crossing * adversary.speed, 0.0])
     normals = generator(seed, number, Role.WALKER).standard_normal(normals_of(ticks))
     intended = np.array([adversary.start_x, adversary.start_y]) + along
-    way = walked(intended, load_behaviour(WALKERS).values, normals, 1.0, step)
-    arrived = next((tick for tick, (x, y) in enumerate(way.tolist()) if scenario.end.arrived(x, y)), ticks)
-    return Trajectory(way[: arrived + 1], step)
+    track = walked(intended, load_behaviour(WALKERS).values, normals, 1.0, step)
+    arrived = next((tick for tick, (x, y) in enumerate(track.tolist()) if scenario.end.arrived(x, y)), ticks)
+    return Trajectory(track[: arrived + 1], step)
 
 
-def _crosses(scenario: Scenario, way: Trajectory) -> bool:
+def _crosses(scenario: Scenario, track: Trajectory) -> bool:
     """Tell whether a way leads from elsewhere to the destination, and into no obstacle."""
-    first, last = (scenario.end.arrived(*place) for place in way.positions[[0, -1]].tolist())
+    first, last = (scenario.end.arrived(*place) for place in track.positions[[0, -1]].tolist())
     with contextlib.suppress(UsageError):
-        check_trajectory(scenario, way)
+        check_trajectory(scenario, track)
         return last and not first
     return False
 

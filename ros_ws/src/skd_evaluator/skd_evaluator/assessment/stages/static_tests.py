@@ -45,12 +45,12 @@ def static_episodes(scenario: Scenario, car: CarUnderTest) -> list[EpisodeSpec]:
             Mode.REPLAY,
             0,
             number,
-            safe_trajectory=way,
+            safe_trajectory=track,
             public=scenario,
             controller=car.controller,
             multiplier=car.multiplier,
         )
-        for number, way in enumerate(regulatory_trajectories(still))
+        for number, track in enumerate(regulatory_trajectories(still))
     ]
 
 

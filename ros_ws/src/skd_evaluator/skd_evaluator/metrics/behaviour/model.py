@@ -235,7 +235,7 @@ def smooth(now: float, past: float, keep: float, normal: float, tick: int) -> fl
 
 @kernel
 def walk(
-    path: FloatArray, values: FloatArray, normals: FloatArray, scale: float, time_step: float, way: FloatArray
+    path: FloatArray, values: FloatArray, normals: FloatArray, scale: float, time_step: float, track: FloatArray
 ) -> int:
     """Walk a way as the normals say.
 
@@ -245,7 +245,7 @@ def walk(
         normals: standard normals, `normals_of(ticks)`.
         scale: by which they are multiplied.
         time_step: duration of a tick, s.
-        way: (ticks + 1) × 2, m; is filled with the places at ticks.
+        track: (ticks + 1) × 2, m; is filled with the places at ticks.
 
     Returns:
         How many places there are: as far as the way's end, or all.
@@ -254,7 +254,7 @@ def walk(
         values[0], values[1], values[2], values[3], values[4], values[5],
         values[6], values[7], values[8], values[9], values[10], values[11],
     )  # fmt: skip
-    ticks: int = way.shape[0] - 1
+    ticks: int = track.shape[0] - 1
     last = path.shape[0] - 1.0
     delay = scale * start_delay * normals[0] / time_step
     own_pace = scale * pace * normals[1]
@@ -266,7 +266,7 @@ def walk(
     moment = min(max(0.0, -delay), last)  # who sets off early is already on the way
     x, y = _place(path, moment)
     on_x, on_y = x, y
-    way[0, 0], way[0, 1] = x, y
+    track[0, 0], track[0, 1] = x, y
     now_pace = now_turn = now_doubt = past_doubt = 0.0
     for tick in range(ticks):
         first = _PERSON + _TICK * tick
@@ -292,25 +292,25 @@ def walk(
         cos, sin = math.cos(turned), math.sin(turned)
         x, y = x + cos * step_x - sin * step_y, y + sin * step_x + cos * step_y
         moment, on_x, on_y = ahead, next_x, next_y
-        way[tick + 1, 0] = x + scale * sway * normals[first + 3]
-        way[tick + 1, 1] = y + scale * sway * normals[first + 4]
+        track[tick + 1, 0] = x + scale * sway * normals[first + 3]
+        track[tick + 1, 1] = y + scale * sway * normals[first + 4]
         if moment >= last:
             return tick + 2
     return ticks + 1
 
 
 @kernel
-def walk_many(path: FloatArray, values: FloatArray, normals: FloatArray, time_step: float, ways: FloatArray) -> None:
+def walk_many(path: FloatArray, values: FloatArray, normals: FloatArray, time_step: float, tracks: FloatArray) -> None:
     """Walk one way as each row of normals says; ways are m × (ticks + 1) × 2."""
     for row in range(normals.shape[0]):
-        count = walk(path, values, normals[row], 1.0, time_step, ways[row])
-        for tick in range(count, ways.shape[1]):
-            ways[row, tick, 0], ways[row, tick, 1] = np.nan, np.nan
+        count = walk(path, values, normals[row], 1.0, time_step, tracks[row])
+        for tick in range(count, tracks.shape[1]):
+            tracks[row, tick, 0], tracks[row, tick, 1] = np.nan, np.nan
 
 
 def walked(path: FloatArray, values: FloatArray, normals: FloatArray, scale: float, time_step: float) -> FloatArray:
     """Return the places at ticks of somebody who walks a way; see `walk`."""
     ticks = (len(normals) - _PERSON) // _TICK
-    way = np.empty((ticks + 1, 2))
-    count: int = walk(np.ascontiguousarray(path), values, normals, scale, time_step, way)
-    return way[:count]
+    track = np.empty((ticks + 1, 2))
+    count: int = walk(np.ascontiguousarray(path), values, normals, scale, time_step, track)
+    return track[:count]

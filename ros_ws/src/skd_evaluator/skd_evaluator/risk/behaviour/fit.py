@@ -112,10 +112,10 @@ def simulated(
     straight = np.column_stack([np.arange(40 * longest) * speed * time_step, np.zeros(40 * longest)])
     here = np.array(values)
     here[NAMES.index("start_delay")] = 0.0
-    ways = np.empty((len(lengths), longest, 2))
-    walk_many(straight, here, normals, time_step, ways)
-    ways[np.arange(longest) >= np.asarray(lengths)[:, None]] = np.nan
-    return ways
+    trajectories = np.empty((len(lengths), longest, 2))
+    walk_many(straight, here, normals, time_step, trajectories)
+    trajectories[np.arange(longest) >= np.asarray(lengths)[:, None]] = np.nan
+    return trajectories
 
 
 class TrackProblem:
@@ -135,8 +135,8 @@ class TrackProblem:
 
     def summary_at(self, free: FloatArray) -> FloatArray:
         """Return the summary of people simulated by parameters."""
-        ways = simulated(_values(free), self.lengths * _COPIES, self.speed, self.time_step, self._normals)
-        return summary(ways, self.time_step)
+        trajectories = simulated(_values(free), self.lengths * _COPIES, self.speed, self.time_step, self._normals)
+        return summary(trajectories, self.time_step)
 
     def allowed(self, free: FloatArray) -> FloatArray:
         """Return the nearest parameters within what is allowed."""
@@ -144,8 +144,8 @@ class TrackProblem:
 
     def groups_at(self, free: FloatArray) -> FloatArray:
         """Return the summary of each of many groups of as many persons."""
-        ways = simulated(_values(free), self.lengths * _GROUPS, self.speed, self.time_step, self._chance)
-        groups = ways.reshape(_GROUPS, len(self.lengths), *ways.shape[1:])
+        trajectories = simulated(_values(free), self.lengths * _GROUPS, self.speed, self.time_step, self._chance)
+        groups = trajectories.reshape(_GROUPS, len(self.lengths), *trajectories.shape[1:])
         return np.array([summary(group, self.time_step) for group in groups])
 
     def chance_at(self, free: FloatArray) -> FloatArray:
@@ -260,23 +260,23 @@ _BRISK = 0.7  # quantile of one's speeds
 _LEAST = 1e-4
 
 
-def padded(ways: Sequence[FloatArray]) -> FloatArray:
+def padded(trajectories: Sequence[FloatArray]) -> FloatArray:
     """Return ways of several lengths as one array, m × longest × 2, with nan behind their ends."""
-    found = np.full((len(ways), max(map(len, ways)), 2), np.nan)
-    for row, way in enumerate(ways):
-        found[row, : len(way)] = way
+    found = np.full((len(trajectories), max(map(len, trajectories)), 2), np.nan)
+    for row, track in enumerate(trajectories):
+        found[row, : len(track)] = track
     return found
 
 
-def residuals(ways: FloatArray, ticks: int) -> FloatArray:
+def residuals(trajectories: FloatArray, ticks: int) -> FloatArray:
     """Return residuals of constant velocity, m × n × 2 (along East and North), m; nan where a way is over.
 
     Args:
-        ways: places at ticks, m × n × 2, m; nan behind the end of a way.
+        trajectories: places at ticks, m × n × 2, m; nan behind the end of a way.
         ticks: the horizon.
     """
-    step = ways[:, 1:-ticks] - ways[:, : -ticks - 1]
-    return np.asarray(ways[:, 1 + ticks :] - ways[:, 1:-ticks] - ticks * step)
+    step = trajectories[:, 1:-ticks] - trajectories[:, : -ticks - 1]
+    return np.asarray(trajectories[:, 1 + ticks :] - trajectories[:, 1:-ticks] - ticks * step)
 
 
 def ticks_of(horizon: float, time_step: float) -> int:
@@ -284,13 +284,13 @@ def ticks_of(horizon: float, time_step: float) -> int:
     return max(1, round(horizon / time_step))
 
 
-def quantile_table(ways: FloatArray, time_step: float) -> FloatArray:
+def quantile_table(trajectories: FloatArray, time_step: float) -> FloatArray:
     """Return the quantiles of the length of the residuals, horizons × `QUANTILES`, m."""
-    rows = [np.hypot(*np.moveaxis(residuals(ways, ticks_of(one, time_step)), -1, 0)) for one in HORIZONS]
+    rows = [np.hypot(*np.moveaxis(residuals(trajectories, ticks_of(one, time_step)), -1, 0)) for one in HORIZONS]
     return np.array([np.quantile(row[np.isfinite(row)], QUANTILES) for row in rows])
 
 
-def summary(ways: FloatArray, time_step: float) -> FloatArray:
+def summary(trajectories: FloatArray, time_step: float) -> FloatArray:
     """Return the numbers by which a behaviour model is fitted to a group of tracks.
 
     Logarithms of quantiles of the residuals, of their part across, of how persons differ in pace, direction and
@@ -299,20 +299,20 @@ def summary(ways: FloatArray, time_step: float) -> FloatArray:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # rows of nothing but nan
-        return _summary(ways, time_step)
+        return _summary(trajectories, time_step)
 
 
-def _summary(ways: FloatArray, time_step: float) -> FloatArray:
+def _summary(trajectories: FloatArray, time_step: float) -> FloatArray:
     found: list[float] = []
     near: FloatArray | None = None
     for horizon in HORIZONS:
-        both = residuals(ways, ticks_of(horizon, time_step))
+        both = residuals(trajectories, ticks_of(horizon, time_step))
         length = np.hypot(both[..., 0], both[..., 1])
         near = length if near is None else near
         found += _logs(np.quantile(length[np.isfinite(length)], _SHAPE))
         across = np.abs(both[..., 1])
         found += _logs(np.quantile(across[np.isfinite(across)], (0.5, 0.95)))
-    steps = np.diff(ways, axis=1)
+    steps = np.diff(trajectories, axis=1)
     speeds = np.hypot(steps[..., 0], steps[..., 1]) / time_step
     brisk = _quantile_of_rows(speeds, _BRISK)
     found.append(_log_sd(np.log(np.maximum(brisk, _LEAST))))

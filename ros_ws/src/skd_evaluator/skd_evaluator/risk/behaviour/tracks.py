@@ -149,12 +149,12 @@ def _recorded_phi(path: Path, damage: Damage, known: dict[bytes, Tracked]) -> li
     if (path / EPISODES).is_file():
         stored = read_episodes(path)
         names = stored.further.get("safe_name", np.array([f"φ {one}" for one in range(len(stored.safe))])).tolist()
-        ways = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
+        trajectories = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
     else:
         recorded = [one.log.episode.safe_trajectory for one in read_bags([path], damage).episodes]
-        ways = [phi for phi in recorded if phi is not None]
+        trajectories = [phi for phi in recorded if phi is not None]
     count = len(known)
-    for phi in ways:
+    for phi in trajectories:
         positions = resample(np.arange(len(phi), dtype=np.float64) * phi.time_step, phi.positions, TIME_STEP)
         name = phi.name or f"φ {len(known)}"
         known.setdefault(phi.positions.tobytes(), Tracked(name.split("/", maxsplit=1)[0], name, positions))
@@ -229,7 +229,7 @@ def validate(tracks: Sequence[Tracked], progress: Callable[[int, int], None] = l
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(_SEED, spawn_key=(number,))))
         normals = rng.standard_normal((_COPIES * len(lengths), normals_of(max(lengths) - 1)))
         example = simulated(fit.values, lengths * _COPIES, fit.speed, TIME_STEP, normals)
-        predicted += [way[np.isfinite(way[:, 0])] for way in example]
+        predicted += [track[np.isfinite(track[:, 0])] for track in example]
         progress(number + 1, count)
     recorded = quantile_table(padded([one.positions for one in tracks]), TIME_STEP)
     return Validation(recorded, quantile_table(padded(predicted), TIME_STEP), by, count, example)
