@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_support import SMALL, skd
+from cli_support import SMALL
 from scipy import special, stats
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
@@ -192,7 +192,9 @@ def ratings(safe) -> dict[str, Assessment]:
 
 
 @pytest.mark.parametrize("name", ["basic", "carla"])
-def test_the_number_of_workers_changes_nothing(name, ratings):
+def test_the_number_of_workers_changes_nothing(name, ratings, monkeypatch):
+    small = SubsetEffort(replicates=4, per_level=200, levels=4)
+    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.SubsetEffort", lambda: small)
     asked = RiskRequest(WALKERS, runs=RUNS if name == "basic" else 6)
     found = []
     for workers in (1, 2):
@@ -282,13 +284,13 @@ def test_the_interval_of_replicates_is_students_on_the_logarithm():
     assert (math.log(low / 2e-5), math.log(high / 2e-5)) == pytest.approx((-reach, reach))
 
 
-def test_the_command_reports_it_and_leaves_everything_else_alone(tmp_path):
+def test_the_command_reports_it_and_leaves_everything_else_alone(skd_here, here):
     found = {}
     for name in ("walkers", "none"):
-        done = skd("assess", *SMALL, "--behaviour", name, "--out", name, cwd=tmp_path)
+        done = skd_here("assess", *SMALL, "--behaviour", name, "--out", name)
         assert done.returncode == 0, done.stderr
-        found[name] = json.loads((tmp_path / name / "assessment.json").read_text())
-        verified = skd("verify", name, cwd=tmp_path)
+        found[name] = json.loads((here / name / "assessment.json").read_text())
+        verified = skd_here("verify", name)
         assert verified.returncode == 0, verified.stdout + verified.stderr
     assert found["walkers"]["risk"]["behaviour"]["name"] == "walkers"
     assert [one["runs"] for one in found["walkers"]["risk"]["scales"]] == [12] * 3
@@ -297,7 +299,7 @@ def test_the_command_reports_it_and_leaves_everything_else_alone(tmp_path):
     for key in found["none"]:
         if not key.startswith("risk") and key not in ("seconds", "provenance"):
             assert found["none"][key] == found["walkers"][key], key
-    with np.load(tmp_path / "none" / "episodes.npz") as without, np.load(tmp_path / "walkers" / "episodes.npz") as both:
+    with np.load(here / "none" / "episodes.npz") as without, np.load(here / "walkers" / "episodes.npz") as both:
         assert {name for name in both.files if not name.startswith("risk_")} == set(without.files)
         for name in without.files:
             np.testing.assert_array_equal(without[name], both[name])
