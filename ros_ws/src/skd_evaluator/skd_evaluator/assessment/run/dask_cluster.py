@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import functools
 import importlib
-import importlib.util
 import logging
 import pickle
 import platform
 import re
 import sys
+import tempfile
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
-from importlib.abc import ExecutionLoader, MetaPathFinder
-from importlib.machinery import ModuleSpec
 from importlib.metadata import version as version_of
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from skd_sim.controllers.isolated import CALL_LIMIT, end_children, set_call_limit
 from skd_sim.errors import UsageError
@@ -36,41 +34,20 @@ _PROTOCOL = 4
 _alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
 
 
-class SentModule(NamedTuple):
-    """A module that is not on this machine: the path it has elsewhere, and what stands there."""
-
-    path: str
-    source: bytes
+_sent: Final[dict[str, tuple[bytes, str]]] = {}  # by module, its source and the folder that it was put into
 
 
-class _SentModules(ExecutionLoader, MetaPathFinder):
-    """Imports modules from memory: for the children in which users' controllers run."""
-
-    def __init__(self) -> None:
-        self.known: dict[str, SentModule] = {}
-
-    def add(self, name: str, module: SentModule) -> None:
-        """Have children find a module before any other of its name; those that had another one begin anew."""
-        if self not in sys.meta_path:
-            sys.meta_path.insert(0, self)
-        if self.known.get(name) != module:
-            self.known[name] = module
-            end_children()
-
-    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Find a module that was sent."""
-        return importlib.util.spec_from_loader(fullname, self) if fullname in self.known else None
-
-    def get_source(self, fullname: str) -> str:
-        """Return its text."""
-        return importlib.util.decode_source(self.known[fullname].source)
-
-    def get_filename(self, fullname: str) -> str:
-        """Return its path where it came from."""
-        return self.known[fullname].path
-
-
-_sent_modules: Final = _SentModules()
+def _put(module: str, name: str, source: bytes) -> None:
+    """Have children find a sent module before any other of its name; those that had another one begin anew."""
+    known, old = _sent.get(module, (b"", ""))
+    if known == source and old:
+        return
+    folder = tempfile.mkdtemp(prefix="skd-")
+    Path(folder, name).write_bytes(source)
+    sys.path[:] = [folder, *(one for one in sys.path if one != old)]
+    _sent[module] = source, folder
+    importlib.invalidate_caches()
+    end_children()
 
 
 @functools.cache
@@ -137,7 +114,7 @@ def _have(controller: SentController) -> None:
             "only a module that stands alone in its folder is sent to the workers, all else has to be there, the same"
         )
     if controller.source is not None:
-        _sent_modules.add(controller.module, SentModule(controller.path, controller.source))
+        _put(controller.module, Path(controller.path).name, controller.source)
 
 
 @dataclass(frozen=True)
