@@ -1,9 +1,8 @@
-"""What aborted episodes may hide: they count for nothing, and a car can end its process just before it hits.
+"""What aborted episodes may hide, and warnings by which the figures of an assessment are not credible.
 
-So beside each figure stands how many of its episodes were aborted, and what it would be at worst: if the car had hit in
-all of them. Everything follows from the content of assessment.json, so stored results are judged in the same way.
-
-Warnings by which the figures of an assessment are not credible, wherever they stand.
+An aborted episode counts for nothing, and a car can end its process just before it hits. So beside each figure stands
+how many of its episodes were aborted, and what it would be at worst: if the car had hit in all of them. Everything
+follows from the content of assessment.json, so stored results are judged in the same way.
 """
 
 from __future__ import annotations

@@ -1,38 +1,23 @@
-"""Intervals of figures from few safe trajectories: pairs that share a φ are not independent of each other.
+"""Means and rates of values that come by φ, with intervals: pairs that share a φ are not independent of each other.
 
-The safe trajectories are taken as a sample of those that there might be, and so what an interval speaks of is the mean
-over all of these. The mean is the one over all pairs; its error comes from how the φ differ, by the bias-reduced
-estimate of Bell and McCaffrey (Survey Methodology 28, 2002; "CR2"), and its quantile from Student's t with the degrees
-of freedom that Satterthwaite's rule gives that estimate (Imbens and Kolesár, Review of Economics and Statistics 98,
-2016). With equally many pairs for each φ that is the t interval over the φ means, with one degree of freedom less than
-there are φ. Where it is known beforehand how φ means of a kind differ, as it is for distances, the interval is the one
-that follows from that and the sample together (`prior`).
+The safe trajectories are taken as a sample of those that there might be, and an interval speaks of the mean over all of
+these. The mean is the one over all pairs. Its error comes from how the φ differ, by the bias-reduced estimate of Bell
+and McCaffrey (Survey Methodology 28, 2002; "CR2"), and its quantile from Student's t with Satterthwaite's degrees of
+freedom (Imbens and Kolesár, Review of Economics and Statistics 98, 2016). With equally many pairs for each φ that is
+the t interval over the φ means.
 
-Rates over few safe trajectories, each with a rate of its own: Wilson's interval with an effective number of runs.
+*Rates*: the squared error of the rate, by φ, is that of an effective number of independent runs. Wilson's score
+interval with that number and Student's quantile stays in [0, 1] and holds for rates near its ends (Dean and Pagano,
+Journal of Survey Statistics and Methodology 3, 2015; Franco, Little, Louis and Slud, ibid. 7, 2019).
 
-Runs along one φ are more alike than runs along several. How much less they say is found from how the φ differ: the
-squared error of the rate, by φ (`cluster_error`), is that of an effective number of independent runs, p·(1 − p) over
-it. Wilson's score interval with that number and with Student's quantile stays in [0, 1] and holds for rates near its
-ends, where an interval to both sides of the rate does not (Dean and Pagano, Journal of Survey Statistics and
-Methodology 3, 2015; Franco, Little, Louis and Slud, ibid. 7, 2019).
-
-What is known of the φ of a distance before the first of them is seen, and the interval that follows.
-
-Five φ say little of how φ differ. Three of four synthetic ones are straight crossings; five of these often hold none of
-the others, are alike, and their mean is then too small and looks more certain than it is: Student's t misses the truth,
-and from below. The five themselves do not show it. What other campaigns had in common does: how much φ differ, measured
-by how much the trials on one φ do, and that a few φ ask for much more than the rest.
-
-*How much they differ.* The values of φ number i are normal about a mean of their own with variance σ², and these means
-normal about that of all φ with variance ρ·σ²: the one-way layout with random effects. Beforehand nothing is known of
-the mean of all φ and of σ (p ∝ 1/σ²), and ln ρ has Student's t distribution with `FREEDOM` degrees about ln `ratio`,
-`spread` wide: so wide a tail gives way to what φ show themselves (Gelman, Bayesian Analysis 1, 2006, on such priors).
-The posterior of the mean is a mixture over ρ of Student's distributions (Box and Tiao, Bayesian Inference in
-Statistical Analysis, 1973, section 5.2), and the interval holds the middle of it.
-
-*That they are skewed.* The end on the side of the skewness is moved out by the term that Cornish and Fisher's expansion
-has for φ means of that skewness (Johnson, Journal of the American Statistical Association 73, 1978), which is taken as
-the one beforehand and the sample's together: of five values the sample's alone is a third of what it should be.
+*Distances* have a prior (`Prior`), for five φ say little of how φ differ: they often are alike, and their mean is then
+too small and looks more certain than it is. The values of φ number i are normal about a mean of their own with variance
+σ², and these means normal about that of all φ with variance ρ·σ². Beforehand nothing is known of the mean of all φ and
+of σ (p ∝ 1/σ²), and ln ρ has Student's t distribution about ln `ratio`, `spread` wide: so wide a tail gives way to what
+φ show themselves (Gelman, Bayesian Analysis 1, 2006). The posterior of the mean is a mixture over ρ of Student's
+distributions (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, section 5.2), and the interval holds the
+middle of it. As a few φ ask for much more than the rest, the end on the side of the skewness is moved out by the term
+of Cornish and Fisher's expansion (Johnson, Journal of the American Statistical Association 73, 1978).
 """
 
 from __future__ import annotations

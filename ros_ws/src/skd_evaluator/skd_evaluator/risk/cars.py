@@ -1,8 +1,6 @@
-"""Crossings in front of any car: whole episodes in which somebody follows the way that the normals say.
+"""Crossings in front of a car: whole episodes, compiled for the basic car, or side by side for policies of batches.
 
-Crossings in front of the basic car, all that it does being known: compiled, the same to the bit as episodes.
-
-Crossings in front of a car whose policy answers many episodes at once: the same as those of any car, and faster.
+All give the same to the bit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Tracked people from files, as a behaviour model is fitted to them: recordings of CITR, csv files, recorded φ.
-
-Whether a behaviour model holds for people whom it has not seen: it is fitted without some and compared on these.
-"""
+"""Tracked people from files (CITR, csv, recorded φ), and whether a model holds for people whom it has not seen."""
 
 from __future__ import annotations
 
