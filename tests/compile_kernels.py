@@ -1,32 +1,48 @@
-"""Compile what tests of all folders need, into the cache: once, rather than in each of the processes that run them."""
+"""Compile what tests of all folders need, into the cache, once: rather than in each process that runs them."""
 
 from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 import numpy as np
 from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.metrics.frechet import discrete_frechet
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 
 
-def compile_planners() -> None:
-    """Compile the planners of cars that nobody has modelled, or load them."""
-    kinds = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
-    InProcessRunner(1).start(
-        [episode for name, dynamics in kinds for episode in warm_up_episodes(name, dynamics=dynamics)]
-    )
+def compile_planners(controller: str, dynamics: str) -> None:
+    """Compile the planners of a car that nobody has modelled."""
+    InProcessRunner(1).start(warm_up_episodes(controller, dynamics=dynamics))
+
+
+def compile_objective(objective: Objective, model: str) -> None:
+    """Compile the planners of an objective and a car."""
+    InProcessRunner(1).start(warm_up_episodes(objective=objective, car_model=model))
+
+
+def compile_distances() -> None:
+    """Compile Fréchet distances, and the search for margins."""
+    warm_up_margins()
     discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))
 
 
-def compile_the_rest() -> None:
-    """Compile the planners of all other objectives and cars, and the search for margins."""
-    for objective in DEFAULT_OBJECTIVES:
-        for model in ("", *any_car_models()):
-            InProcessRunner(1).start(warm_up_episodes(objective=objective, car_model=model))
-    warm_up_margins()
+def works() -> list[Callable[[], None]]:
+    """Return what is to be compiled, in parts that have much in common with few others."""
+    cars = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
+    planners = [(objective, model) for model in ("", *any_car_models()) for objective in DEFAULT_OBJECTIVES]
+    return [
+        compile_distances,
+        *(partial(compile_planners, *car) for car in cars),
+        *(partial(compile_objective, *one) for one in planners),
+    ]
 
 
 if __name__ == "__main__":
-    compile_planners()
-    compile_the_rest()
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")) as pool:
+        for done in [pool.submit(work) for work in works()]:
+            done.result()

@@ -55,7 +55,9 @@ def test_without_metadrive_one_line_says_how_to_install_it(monkeypatch, version:
         lambda: repeats_itself("metadrive"),
         lambda: make_controller("metadrive_expert"),
     ):
-        with pytest.raises(UsageError, match=r'MetaDrive 0\.4\.3, and .*pip install -e "\.\[metadrive\]"') as error:
+        with pytest.raises(
+            UsageError, match=r"MetaDrive 0\.4\.3, and .*pip install metadrive-simulator==0\.4\.3"
+        ) as error:
             make()
         assert "\n" not in str(error.value)
         assert (version or "not installed") in str(error.value)

@@ -10,6 +10,7 @@ import contextlib
 import gc
 import importlib
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -123,6 +124,17 @@ def environment(missing: Sequence[str]) -> str:
         return f"{shlex.quote(sys.executable)} -m pip install {' '.join(names)}"
     folder = f".venv-{os.environ['ROS_DISTRO']}" if os.environ.get("ROS_DISTRO") else ".venv"
     return f"cd {checkout} && scripts/skd --version && . {folder}/bin/activate"
+
+
+def installing(extra: str) -> str:
+    """Return the command that installs what an extra of SKD asks for, by the names of the packages themselves."""
+    from importlib.metadata import PackageNotFoundError, requires
+
+    with contextlib.suppress(PackageNotFoundError):
+        asked = [text.partition(";") for text in requires("skd") or ()]
+        found = [shlex.quote(name.strip()) for name, _, when in asked if re.search(rf"extra == .{extra}\b", when)]
+        return f"{shlex.quote(sys.executable)} -m pip install {' '.join(found)}"
+    return f"install what pyproject.toml lists for {extra}"  # of a workspace alone
 
 
 def start_named(programs: Mapping[str, Callable[[], int]]) -> int:

@@ -7,19 +7,17 @@ import importlib.util
 import json
 import os
 import platform
-import re
-import shlex
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, requires
+from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from typing import Any
 
 from skd_sim import ros_environment
-from skd_sim.start import PACKAGES, environment
+from skd_sim.start import PACKAGES, environment, installing
 
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.version import version
@@ -88,7 +86,7 @@ def findings(*, round_trip: bool = True) -> Iterator[Finding]:
         if importlib.util.find_spec(module) is not None:
             yield Finding(module, FINE, f"installed; {use}")
         else:
-            yield Finding(module, ABSENT, f"not installed; for {use}", _installing(extra))
+            yield Finding(module, ABSENT, f"not installed; for {use}", installing(extra))
     yield from _ros(round_trip=round_trip)
 
 
@@ -97,16 +95,6 @@ def _packages() -> Finding:
     if missing:
         return Finding("packages", BROKEN, f"{', '.join(missing)} cannot be imported", environment(missing))
     return Finding("packages", FINE, ", ".join(f"{name} {_version(name)}" for name in PACKAGES))
-
-
-def _installing(extra: str) -> str:
-    """Return the command that installs what an extra of SKD asks for; empty where its metadata are not installed."""
-    try:
-        asked = [text.partition(";") for text in requires("skd") or ()]
-    except PackageNotFoundError:
-        return ""
-    found = [shlex.quote(name.strip()) for name, _, when in asked if re.search(rf"extra == .{extra}\b", when)]
-    return f"{shlex.quote(sys.executable)} -m pip install {' '.join(found)}"
 
 
 def _version(module: str) -> str:

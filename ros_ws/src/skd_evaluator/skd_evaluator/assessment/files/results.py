@@ -14,6 +14,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.scenario.scenario import scenario_from_dict
+from skd_sim.start import installing
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
@@ -153,7 +154,7 @@ def _library(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise UsageError(f"this needs {name}: python -m pip install 'skd[notebook]'") from error
+        raise UsageError(f"this needs {name}: {installing('notebook')}") from error
 
 
 def read_result(folder: Path) -> StoredResult:

@@ -23,6 +23,7 @@ from typing import Any, Final
 from skd_sim.controllers.isolated import CALL_LIMIT, end_children, set_call_limit
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.start import installing
 from skd_sim.world.episode import AbortKind, EpisodeSpec, abort_reason
 
 from skd_evaluator.assessment.run.workers import Done, InProcessRunner, Pace, Workers, do, warm_up_with
@@ -216,10 +217,7 @@ class DaskRunner(Workers):
         try:
             distributed = importlib.import_module("distributed")  # slow to import, and an extra
         except ModuleNotFoundError as error:
-            raise UsageError(
-                f"--scheduler needs Dask, and there is no {error.name}: use scripts/skd, which installs it, or "
-                "python -m pip install 'distributed>=2024.8'"
-            ) from None
+            raise UsageError(f"--scheduler needs Dask, and there is no {error.name}: {installing('dask')}") from None
         for name in list(logging.root.manager.loggerDict):
             if name.partition(".")[0] == "distributed":
                 logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what fails is said by us, once

@@ -18,13 +18,12 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line, open_regular
 from skd_sim.scenario.road import ONCOMING
+from skd_sim.start import installing
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.messages import Condition, read_messages
 from skd_evaluator.bags.tracks import Listed, Track, listed
 from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, stretch
-
-HOW = "python -m pip install 'skd[exchange]'"
 
 
 def osi_messages() -> Any:
@@ -65,7 +64,7 @@ def _found(name: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
-        raise UsageError(f"OSI needs osi-python and asam-osi-utilities: {HOW}") from error
+        raise UsageError(f"OSI needs osi-python and asam-osi-utilities: {installing('exchange')}") from error
 
 
 SCHEMA = "osi3.GroundTruth"

@@ -31,7 +31,6 @@ from skd_evaluator.extensions.ncap.evaluation import (
 )
 from skd_evaluator.extensions.ncap.layout import print_ncap
 from skd_evaluator.extensions.ncap.result import (
-    HOW,
     PAGE,
     RESULT,
     Grid,
@@ -39,6 +38,7 @@ from skd_evaluator.extensions.ncap.result import (
     as_data,
     points_of,
     with_calculator,
+    without_calculator,
 )
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.provenance import provenance
@@ -145,5 +145,5 @@ def _found(request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
         margin_limit=request.margin_limit,
         grids=tuple(grids),
         points=tuple(points_of(grids)) if counts else (),
-        points_why="" if counts else HOW,
+        points_why="" if counts else without_calculator(),
     )

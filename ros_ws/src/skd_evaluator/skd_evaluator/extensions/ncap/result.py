@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
 from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, read_model
+from skd_sim.start import installing
 
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.files.verification import Verified
@@ -206,10 +207,11 @@ def _contradiction(cell: NcapCell, trials: int) -> str:
 
 
 PACKAGE = "euroncap_rating_2026"
-HOW = (
-    "they are computed by Euro NCAP's own calculator, which is not installed: python -m pip install "
-    "'euroncap-rating-2026>=5.4.9,<6'"
-)
+
+
+def without_calculator() -> str:
+    """Return why there are no points, where the calculator is not installed."""
+    return f"they are computed by Euro NCAP's own calculator, which is not installed: {installing('ncap')}"
 
 
 def with_calculator() -> bool:

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 
 from skd_sim.errors import UsageError
+from skd_sim.start import installing
 from skd_sim.world.dynamics.basic import CommandLimits
 
 METADRIVE: Final = "metadrive"
@@ -37,8 +38,7 @@ def require_metadrive() -> None:
     if found != VERSION or importlib.util.find_spec("metadrive") is None:
         there = f"version {found} is installed" if found else "it is not installed"
         raise UsageError(
-            f"simulator {METADRIVE} needs MetaDrive {VERSION}, and {there}: in the folder of SKD, "
-            '.venv/bin/python -m pip install -e ".[metadrive]" (Python 3.11)'
+            f"simulator {METADRIVE} needs MetaDrive {VERSION}, and {there}: {installing('metadrive')} (Python 3.11)"
         )
 
 
