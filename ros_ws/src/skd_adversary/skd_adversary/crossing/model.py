@@ -17,6 +17,8 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import bound
 from skd_sim.scenario.scenario import Scenario
 
+from skd_adversary.crossing.deviation import DEVIATION
+from skd_adversary.crossing.objectives import FRECHET, PAPER, SAFE
 from skd_adversary.crossing.parts import (
     ADVERSARY_X,
     ADVERSARY_Y,
@@ -46,6 +48,7 @@ from skd_adversary.crossing.parts import (
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import PEDESTRIAN
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
+from skd_adversary.crossing.sensors import DISTANCE, RELATIVE_POSITION
 from skd_adversary.pomdp.model import Pomdp
 
 
@@ -170,6 +173,19 @@ def _reinvigorate(car: CarKernels, sensor: SensorModel, road: RoadKernels) -> An
     return bound(reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
 
 
+def _parameters_of_all(scenario: Scenario, path: FloatArray) -> dict[str, Any]:
+    """Return the parameters of every objective and sensor.
+
+    Models that differ in these alone share a type of parameters, and so the kernels of road user, car and road.
+    """
+    found: dict[str, Any] = {}
+    for objective in (SAFE, PAPER, FRECHET, DEVIATION):
+        found |= objective.parameters(scenario, path)
+    for sensor in (DISTANCE, RELATIVE_POSITION):
+        found |= sensor.parameters(scenario)
+    return found
+
+
 _CLASS, _SEPARATOR = "Parameters", "__"
 
 
@@ -232,6 +248,7 @@ def compose(
         if twice := values.keys() & share.keys():
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
+    values = dict(sorted((_parameters_of_all(scenario, phi) | values).items()))
     seen = _part_on_road(sensor, road)
     return Pomdp(
         name=f"{objective.name}_{user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
