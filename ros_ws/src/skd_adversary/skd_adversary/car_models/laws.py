@@ -87,7 +87,7 @@ class Law:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class BrakingEvidence:
     """What each tick says for and against braking, and the numbers by which a law decides.
 
     Attributes:
@@ -142,15 +142,15 @@ def aside(data: Observations, family: Family) -> FloatArray:
     return _delayed(np.where(coming, least, np.inf), data, family.delay, np.inf)
 
 
-def evidence(change: SpeedChange, data: Observations, family: Family, rows: BoolArray) -> Evidence:
+def evidence(change: SpeedChange, data: Observations, family: Family, rows: BoolArray) -> BrakingEvidence:
     """Return the evidence of the chosen rows; delays look back over all of `data`."""
     free, brake, background = (part[rows] for part in densities(change, data))
     share = _BACKGROUND * background
     near, beside = nearness(data, family)[rows], aside(data, family)[rows]
-    return Evidence(brake + share, free + share, near, beside, data.episode[rows].astype(np.float64))
+    return BrakingEvidence(brake + share, free + share, near, beside, data.episode[rows].astype(np.float64))
 
 
-def _gains(e: Evidence, lapse: float) -> tuple[FloatArray, FloatArray]:
+def _gains(e: BrakingEvidence, lapse: float) -> tuple[FloatArray, FloatArray]:
     """Return each tick's log-likelihood if the law drives freely, and how much it gains if the law brakes."""
     free = np.log((1.0 - lapse) * e.free + lapse * e.braking)
     return free, np.log((1.0 - lapse) * e.braking + lapse * e.free) - free
@@ -164,21 +164,21 @@ def _profile(position: FloatArray, gain: FloatArray, largest: float) -> tuple[Fl
     return edges, np.append(0.0, np.cumsum(gain[inside][order]))
 
 
-def trigger_profile(e: Evidence, law: Law) -> tuple[FloatArray, FloatArray]:
+def trigger_profile(e: BrakingEvidence, law: Law) -> tuple[FloatArray, FloatArray]:
     """Return (edges, values) of the log-likelihood, up to a constant, as a function of a sharp trigger."""
     _, gain = _gains(e, law.lapse)
     chosen = e.aside <= law.gate
     return _profile(e.nearness[chosen], gain[chosen], LARGEST_TRIGGER[law.family.measure])
 
 
-def gate_profile(e: Evidence, law: Law) -> tuple[FloatArray, FloatArray]:
+def gate_profile(e: BrakingEvidence, law: Law) -> tuple[FloatArray, FloatArray]:
     """Return (edges, values) of the log-likelihood, up to a constant, as a function of the path's half-width."""
     _, gain = _gains(e, law.lapse)
     chosen = e.nearness <= law.trigger
     return _profile(e.aside[chosen], gain[chosen], LARGEST_GATE)
 
 
-def _sharp(family: Family, e: Evidence, lapse: float, gate: float) -> Law:
+def _sharp(family: Family, e: BrakingEvidence, lapse: float, gate: float) -> Law:
     """Return the likeliest sharp law, trigger and gate in turn."""
     law = Law(family, 0.0, gate, 0.0, lapse, -np.inf)
     free, gain = _gains(e, lapse)
@@ -194,7 +194,7 @@ def _sharp(family: Family, e: Evidence, lapse: float, gate: float) -> Law:
     return law
 
 
-def _fit_sharp(family: Family, e: Evidence, near: Law | None = None) -> Law:
+def _fit_sharp(family: Family, e: BrakingEvidence, near: Law | None = None) -> Law:
     if family.gate == "none":
         starts = [np.inf]
     elif near is not None:
@@ -224,7 +224,7 @@ class _Segments(NamedTuple):
     starts: IntArray
 
 
-def _segments(e: Evidence, law: Law) -> _Segments:
+def _segments(e: BrakingEvidence, law: Law) -> _Segments:
     """Return the log-likelihood of each episode as a step function of its own trigger."""
     free, gain = _gains(e, law.lapse)
     gain = np.where(e.aside <= law.gate, gain, 0.0)
@@ -262,7 +262,7 @@ def _spread_likelihoods(segments: _Segments, trigger: float, spread: float) -> F
     return np.asarray(tops + np.log(np.add.reduceat(np.exp(terms - np.repeat(tops, counts)), starts)))
 
 
-def _tick_values(e: Evidence, law: Law) -> FloatArray:
+def _tick_values(e: BrakingEvidence, law: Law) -> FloatArray:
     """Return the log-likelihood of each tick when the trigger is blurred by a logistic distribution."""
     inside = (e.aside <= law.gate) & np.isfinite(e.nearness)
     near = np.where(inside, e.nearness, 0.0)
@@ -271,7 +271,7 @@ def _tick_values(e: Evidence, law: Law) -> FloatArray:
     return np.asarray(np.log(brakes * e.braking + (1.0 - brakes) * e.free))
 
 
-def episode_values(e: Evidence, law: Law) -> FloatArray:
+def episode_values(e: BrakingEvidence, law: Law) -> FloatArray:
     """Return the log-likelihood of each episode under a law."""
     if law.family.spread == "episode":
         return _spread_likelihoods(_segments(e, law), law.trigger, law.spread)
@@ -284,20 +284,20 @@ def episode_values(e: Evidence, law: Law) -> FloatArray:
     return np.asarray(np.add.reduceat(ticks, first))
 
 
-def spread_likelihoods(e: Evidence, law: Law, spreads: FloatArray) -> FloatArray:
+def spread_likelihoods(e: BrakingEvidence, law: Law, spreads: FloatArray) -> FloatArray:
     """Return, per spread, the log-likelihood of all ticks when each episode draws N(law's trigger, spread²)."""
     segments = _segments(e, law)
     return np.array([_spread_likelihoods(segments, law.trigger, float(spread)).sum() for spread in spreads])
 
 
-def spread_values(e: Evidence, law: Law, triggers: FloatArray, spreads: FloatArray) -> FloatArray:
+def spread_values(e: BrakingEvidence, law: Law, triggers: FloatArray, spreads: FloatArray) -> FloatArray:
     """Return the log-likelihood of all ticks over a grid, triggers × spreads, under a law that is not sharp."""
     if law.family.spread == "episode":
         return np.stack([spread_likelihoods(e, replace(law, trigger=float(trigger)), spreads) for trigger in triggers])
     return np.array([[_tick_values(e, replace(law, trigger=t, spread=s)).sum() for s in spreads] for t in triggers])
 
 
-def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law | None = None) -> Law:
+def fit_family(family: Family, e: BrakingEvidence, sharp: Law | None = None, near: Law | None = None) -> Law:
     """Return the likeliest law of a family.
 
     Args:
@@ -336,12 +336,12 @@ def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law 
     return replace(law, trigger=float(best.x[0]), spread=float(np.exp(best.x[1])), log_likelihood=-float(best.fun))
 
 
-def sharp_estimate(e: Evidence, law: Law) -> IntervalEstimate:
+def sharp_estimate(e: BrakingEvidence, law: Law) -> IntervalEstimate:
     """Return the trigger of a sharp law with what the data leave open about it."""
     return step_estimate(*trigger_profile(e, law))
 
 
-def gate_estimate(e: Evidence, law: Law) -> IntervalEstimate:
+def gate_estimate(e: BrakingEvidence, law: Law) -> IntervalEstimate:
     """Return the half-width of the path with what the data leave open about it."""
     return step_estimate(*gate_profile(e, law))
 
@@ -361,7 +361,7 @@ class LawCandidate:
     """
 
     law: Law
-    evidence: Evidence
+    evidence: BrakingEvidence
     held_out: FloatArray | None
 
     @property
@@ -387,9 +387,9 @@ class LawCandidate:
         return FamilyRow(family.name, family.parameters, likelihood, self.aic, self.bic, held_out, self.law.trigger)
 
 
-def part(e: Evidence, rows: BoolArray) -> Evidence:
+def part(e: BrakingEvidence, rows: BoolArray) -> BrakingEvidence:
     """Return the evidence of some ticks."""
-    return Evidence(e.braking[rows], e.free[rows], e.nearness[rows], e.aside[rows], e.episode[rows])
+    return BrakingEvidence(e.braking[rows], e.free[rows], e.nearness[rows], e.aside[rows], e.episode[rows])
 
 
 def folds_of(episode: FloatArray | IntArray, folds: int) -> IntArray:
@@ -398,7 +398,7 @@ def folds_of(episode: FloatArray | IntArray, folds: int) -> IntArray:
     return np.asarray(index % folds, dtype=np.int64)
 
 
-def _held_out(law: Law, e: Evidence) -> LawCandidate:
+def _held_out(law: Law, e: BrakingEvidence) -> LawCandidate:
     """Return the candidate of a law: its family is fitted to the other folds and judged on each."""
     fold = folds_of(e.episode, SELECTION_FOLDS)
     _, first = np.unique(e.episode, return_index=True)
@@ -466,7 +466,7 @@ def _resolved(candidate: LawCandidate) -> bool:
 _SPREAD_POINTS = 31
 
 
-def sharp_spread(e: Evidence, law: Law) -> IntervalEstimate:
+def sharp_spread(e: BrakingEvidence, law: Law) -> IntervalEstimate:
     """Return the spread of a trigger that was found sharp: 0, and how large a spread the logs could have hidden.
 
     The upper end is the 95 % point of its posterior under a flat prior, the trigger at its estimate.
@@ -480,7 +480,7 @@ def sharp_spread(e: Evidence, law: Law) -> IntervalEstimate:
     return IntervalEstimate(0.0, high / 2.0, 0.0, high)
 
 
-def spread_estimates(e: Evidence, law: Law) -> tuple[IntervalEstimate, IntervalEstimate]:
+def spread_estimates(e: BrakingEvidence, law: Law) -> tuple[IntervalEstimate, IntervalEstimate]:
     """Return trigger and spread of a law whose trigger is not sharp, from their posterior on a grid, flat priors."""
     step = 0.1 * max(law.spread, 1e-3)
     triggers: FloatArray = np.empty(0)

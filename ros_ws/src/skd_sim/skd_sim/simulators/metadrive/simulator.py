@@ -13,11 +13,8 @@ from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import EpisodeSpec
 
 
-class MetaDriveSimulator:
-    """One MetaDrive a process, whoever asks for it; see `Simulator`."""
-
-    places_others: Final = True
-    """Whether the others of a scenario are there: they are, as bodies that are put in their places."""
+class MetaDriveSimulator(FramedSimulator):
+    """One MetaDrive a process, whoever asks for it; see `Simulator`. The others of a scenario are bodies in it."""
 
     repeats_itself: Final = True
     """Whether the same commands lead to the same states: to a rounding of its numbers, which have 24 bits."""
@@ -29,7 +26,6 @@ class MetaDriveSimulator:
             UsageError: it is not; says how it is installed.
         """
         require_metadrive()
-        self._inner: FramedSimulator | None = None
 
     def reset(self, episode: EpisodeSpec) -> Frame:
         """Build what the episode needs, and place car and adversary.
@@ -37,28 +33,14 @@ class MetaDriveSimulator:
         Raises:
             UsageError: the road has curves, or this process cannot have an engine.
         """
-        self._frames = _frames(episode.scenario)
-        self._inner = FramedSimulator(self._frames)
-        return self._inner.reset(episode)
-
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        """Hold both commands for one control period."""
-        return self._running.step(acceleration, velocity)
-
-    @property
-    def clipped(self) -> int:
-        """How many commands of this episode asked more of the car than it can do."""
-        return self._running.clipped
-
-    @property
-    def own_contact(self) -> float | None:
-        """Time of the first contact by MetaDrive's own shapes (s); nan without one."""
-        return self._running.own_contact
+        self._metadrive = _frames(episode.scenario)
+        super().__init__(self._metadrive)
+        return super().reset(episode)
 
     @property
     def position_error(self) -> float:
         """Greatest distance in this episode between MetaDrive's place of the adversary and the commanded one, m."""
-        return float(self._frames.position_error)
+        return float(self._metadrive.position_error)
 
     def described(self, scenario: Scenario) -> Mapping[str, Any]:
         """Return, as plain data, what MetaDrive makes of a scenario's car: what its pedals do, as measured."""
@@ -74,12 +56,6 @@ class MetaDriveSimulator:
             "limits": list(pedals_of(stage, scenario).limits),
             "pedals": pedals_of(stage, scenario).as_dict(),
         }
-
-    @property
-    def _running(self) -> FramedSimulator:
-        if self._inner is None:
-            raise RuntimeError("reset comes first")
-        return self._inner
 
 
 def _frames(scenario: Scenario) -> Any:
