@@ -36,8 +36,7 @@ class Pair:
     """A safe trajectory and a kamikaze episode that collided.
 
     Attributes:
-        log: what happened in the episode: states are at ticks, those of the car are x, y (m) and speed (m/s); its
-            specification has the scenario.
+        log: what happened in the episode; its specification has the scenario.
         psi: ψ, up to the place of the contact.
         duration: time of the contact, in ticks since the start.
     """

@@ -121,7 +121,7 @@ class StoredResult:
         """Return the trajectories as an xarray.Dataset.
 
         `adversary` (episode, time, axis), `car` (episode, time, state) and `phi` (safe, time, axis). Times are those of
-        ticks, s; positions m, the car's speed m/s; nan after an episode's end.
+        ticks, s; positions m, the car's heading rad and speed m/s; nan after an episode's end.
 
         Raises:
             UsageError: xarray is not installed.
@@ -138,7 +138,7 @@ class StoredResult:
             "episode": episodes.episode_id,
             "time": ("time", episodes.time_step * np.arange(ticks), {"units": "s"}),
             "axis": ["x", "y"],
-            "state": ["x", "y", "speed"],
+            "state": ["x", "y", "heading", "speed"],
         }
         return xarray.Dataset(arrays, coordinates, {"folder": str(self.folder)})
 
