@@ -41,10 +41,10 @@ def course(name: str, contact: bool = True, whole_ticks: bool = False) -> Episod
     adversary = np.array([user.start_x, user.start_y]) + np.vstack([np.zeros(2), np.cumsum(moved, axis=0)])
     begin = -(scenario.car.start_gap + scenario.car.front)
     along = begin + scenario.car.start_speed * times - 0.25 * times**2
-    places = np.array([scenario.road.place(0, s)[:2] for s in along.tolist()])
-    car = np.column_stack([places, scenario.car.start_speed - 0.5 * times])
+    poses = np.array([scenario.road.place(0, s) for s in along.tolist()])
+    car = np.column_stack([poses, scenario.car.start_speed - 0.5 * times])
     return course_of(
-        scenario, adversary, car, (times[-2] + 0.37 * step, car[-1, 2]) if contact and not whole_ticks else None
+        scenario, adversary, car, (times[-2] + 0.37 * step, car[-1, 3]) if contact and not whole_ticks else None
     )
 
 
@@ -63,7 +63,7 @@ def safe(name: str, phi: np.ndarray) -> ExportedEpisode:
     """A φ of a scenario, ready to go out."""
     scenario = load_scenario(name)
     times = scenario.time_step * np.arange(len(phi))
-    actors = actors_of(scenario, EpisodeMotion(times, phi, np.full((len(phi), 3), np.nan)), with_car=False)
+    actors = actors_of(scenario, EpisodeMotion(times, phi, np.full((len(phi), 4), np.nan)), with_car=False)
     return ExportedEpisode("phi_000", "a φ", scenario, actors, start_of(scenario, phi), float(times[-1]), DATE)
 
 
