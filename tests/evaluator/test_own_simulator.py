@@ -55,7 +55,7 @@ def test_the_log_is_what_the_simulator_says() -> None:
     steps = np.array([velocity for _, velocity in simulator.told])
     walked = np.array(EPISODE.start) + 0.3 * np.cumsum(np.vstack([(0.0, 0.0), steps]), axis=0)
     np.testing.assert_allclose(log.adversary, walked, atol=1e-12)
-    assert log.car.tolist() == [[0.0, -20.0, 5.0]] * 4
+    assert log.car.tolist() == [[0.0, -20.0, math.pi / 2, 5.0]] * 4
     assert (log.impact_time, log.impact_speed) == (pytest.approx(2.5 * 0.3), 4.0)
     assert log.clipped == 7
 
