@@ -1,4 +1,4 @@
-"""How much the margin of the basic car varies between and within φ: what `skd plan` assumes where no result is given.
+"""How much the margin of the basic car varies between and within φ: as `skd compare --width` assumes it.
 
     .venv/bin/python benchmarks/margin_variances.py --safe-count 200 --kamikaze-count 25
 

@@ -1,4 +1,4 @@
-"""How often the intervals of `skd calibrate` hold the values that physical trials were played with.
+"""How often the intervals of `skd fuse --calibrate` hold the values that physical trials were played with.
 
 Physical trials are played by the multi-body car with another delay, friction or brake than the simulator takes, and
 noise of the brake (10 % of each command) and of the tracked places (2 cm). Each repetition has φ of people who walk as

@@ -34,7 +34,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/test tests/exchange": "these tests themselves",
     r"scripts/exchange-readers": "needs the network, and takes 1 GB",
     r"scripts/skd .* roundabout_exit": "a package's: tests/examples/test_roundabout.py has it beside SKD",
-    r"scripts/skd calibrate": "a minute: tests/evaluator/test_fusion_trials.py has a smaller one",
+    r"scripts/skd fuse --calibrate": "a minute: tests/evaluator/test_fusion_trials.py has a smaller one",
     r"scripts/skd fit --people": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
     r"scripts/skd .*--simulator metadrive": "needs the extra metadrive: tests/sim/test_metadrive.py has smaller ones",
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",

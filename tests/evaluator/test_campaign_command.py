@@ -21,11 +21,11 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
+from skd_evaluator.assessment.files.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign import command
-from skd_evaluator.extensions.campaign.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.ros import session as session_module
 from skd_sim.world.episode import Mode
 from skd_sim.world.timing import Timing

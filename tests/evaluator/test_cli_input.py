@@ -90,7 +90,7 @@ def test_bad_number(capsys, command, option, value):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["plan", "x", "--width=0"], "argument --width: must be a finite number > 0, got '0'"),
+        (["compare", "x", "--width=0"], "argument --width: must be a finite number > 0, got '0'"),
         (["assess", "--max-aborted=101"], "must be a finite number ≤ 100"),
         (["fuse", "a", "b", "--frame=1,0"], "argument --frame: must be X,Y,DEGREES"),
         (["ncap", "--speeds=20:10:10"], "argument --speeds: must be FROM:TO:STEP"),

@@ -15,9 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.errors import AssessmentError
-from skd_evaluator.extensions.campaign.episode_store import (
+from skd_evaluator.assessment.files.episode_store import (
     FILE_NAME,
     EpisodeStore,
     Specifications,
@@ -27,6 +25,8 @@ from skd_evaluator.extensions.campaign.episode_store import (
     from_bytes,
     to_bytes,
 )
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -19,7 +19,7 @@ PACKAGE = Path(skd_evaluator.__file__).parent
 COMMANDS = {
     "campaign": ["campaign"],
     "exchange": ["export", "import"],
-    "fusion": ["calibrate", "fuse"],
+    "fusion": ["fuse"],
     "ncap": ["ncap"],
 }
 

@@ -276,7 +276,7 @@ def test_trials_calibrate_the_simulator(
     """The example's car brakes 0.15 s late; what it was played with is in the interval."""
     out = tmp_path / "calibrated"
     words = ("--parameters", "delay", "--workers", "1")
-    assert run_skd("calibrate", simulated, trials, *NAMES, *words, "--out", out) == 0
+    assert run_skd("fuse", "--calibrate", simulated, trials, *NAMES, *words, "--out", out) == 0
     content = json.loads((out / "simulator.json").read_text("utf-8"))
     delay = content["parameters"]["delay"]
     assert delay["ci95"][0] < 0.15 < delay["ci95"][1]
@@ -287,7 +287,7 @@ def test_trials_calibrate_the_simulator(
     assert scenario.car.dynamics == "multi_body"
     assert content["sentences"][0] in capsys.readouterr().out
     again = (*words, "--out", out, "--overwrite")
-    assert run_skd("calibrate", simulated, trials, *NAMES, *again) == 0
+    assert run_skd("fuse", "--calibrate", simulated, trials, *NAMES, *again) == 0
 
 
 def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:

@@ -39,7 +39,7 @@ def test_two_hundred_results_are_listed_sorted_and_filtered(tmp_path, figures, c
     monkeypatch.setenv("COLUMNS", "80")
     for number in range(200):
         car = "basic" if number % 4 else "my_cars:Careful"
-        changes = {"controller": car, "margin": 0.01 * ((7 * number) % 200), "provenance": origin(figures, number)}
+        changes = {"car": car, "margin": 0.01 * ((7 * number) % 200), "provenance": origin(figures, number)}
         written(figures, tmp_path / f"group{number % 3}" / f"{number}", **changes)
     assert main(["list", str(tmp_path), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["results"]
@@ -87,7 +87,7 @@ def test_a_trend_follows_each_car_by_date(figures):
         Run(Path(f"{number}"), {**figures, "margin": 0.1 * number, "provenance": origin(figures, number)})
         for number in reversed(range(REVISIONS))
     ]
-    other = Run(Path("other"), {**figures, "controller": "my_cars:Careful", "margin": 9.0, "provenance": None})
+    other = Run(Path("other"), {**figures, "car": "my_cars:Careful", "margin": 9.0, "provenance": None})
     asked = []
 
     def compare(first: Run, second: Run, confidence: float) -> None:

@@ -12,7 +12,7 @@ import pytest
     ("program", "without"),
     [
         ("import skd_evaluator.cli.assess", "scipy.special scipy.optimize matplotlib vl_convert"),
-        ("from skd_evaluator.cli.main import main; main(['plan', '--difference', '0.5'])", "matplotlib"),
+        ("from skd_evaluator.cli.main import main; main(['compare', '--difference', '0.5'])", "matplotlib"),
     ],
     ids=["assess", "plan"],
 )

@@ -94,7 +94,7 @@ def put(value: float, place: int | slice = slice(None)) -> Callable[[np.ndarray]
 def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, edit, said):
     """Squares of 1e160 are infinite, which numpy would say on the terminal."""
     change_arrays(result, **{name: edit})
-    one_line(skd_here("show", str(result), "--out", "shown"), 2, said)
+    one_line(skd_here("report", str(result), "--format", "png", "--out", "shown"), 2, said)
 
 
 # --- folders

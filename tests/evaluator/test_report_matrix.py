@@ -9,7 +9,6 @@ from skd_evaluator.report.charts import comparison_charts
 from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
-from skd_evaluator.report.terminal import car_name
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +27,7 @@ def test_each_assessment_is_in_the_cell_of_its_car_and_scenario(subjects):
     assert found.scenarios == ("crossing", "there")
     for car, cells in found.rows:
         for name, several in zip(found.scenarios, cells, strict=True):
-            (mine,) = [one for one in subjects if car_name(one.figures) == car and one.scenario.name == name]
+            (mine,) = [one for one in subjects if one.figures["car"] == car and one.scenario.name == name]
             (cell,) = several
             assert cell.margin == f"{mine.figures['margin']:.3f}"
     assert [subjects[place].scenario.name for place in by_scenario(subjects)] == ["crossing"] * 2 + ["there"] * 2

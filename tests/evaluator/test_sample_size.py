@@ -44,19 +44,19 @@ def test_sizes_are_enough_and_one_phi_less_is_not():
 
 
 def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(capsys):
-    assert main(["plan", "--width", "0.1", "--kamikaze-count", "100", "--json"]) == 0
+    assert main(["compare", "--width", "0.1", "--kamikaze-count", "100", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     (size,) = found["sizes"]
     assert size["episodes"] == 100 * size["safe"]
     assert size["width"] <= 0.1
     assert "assumed" in found["source"]
     assert found["figure"] == "margin"
-    assert main(["plan", "--width", "0.1", "--figure", "deviation"]) == 0
+    assert main(["compare", "--width", "0.1", "--figure", "deviation"]) == 0
     assert capsys.readouterr().out.startswith("deviation: ")
-    assert main(["plan", "--difference", "0.1", "--power", "0.9"]) == 0
+    assert main(["compare", "--difference", "0.1", "--power", "0.9"]) == 0
     shown = capsys.readouterr().out
     assert "on the same φ" in shown
-    assert main(["plan", "--width", "0.1", "--figure", "skd"]) == 2
+    assert main(["compare", "--width", "0.1", "--figure", "skd"]) == 2
     assert "--figure skd needs a result" in capsys.readouterr().err
-    assert main(["plan", "--width", "1e-12"]) == 2
+    assert main(["compare", "--width", "1e-12"]) == 2
     assert "ask for a wider interval" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`skd show`: one episode as a picture or a film, drawn where it happened."""
+"""`skd report --format png`: one episode as a picture or a film, drawn where it happened."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from skd_sim.world.episode import Mode
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
+DRAW = ("report", "--format", "png")
+
 
 @pytest.fixture(scope="module")
 def result(sweep):
@@ -37,7 +39,7 @@ def subject(result):
 
 
 def test_the_worst_are_those_with_the_least_deviation(skd_here, here, result, subject):
-    done = skd_here("show", str(result), "--worst", "2", "--objective", "deviation", "--out", "shown", "--json")
+    done = skd_here(*DRAW, str(result), "--worst", "2", "--objective", "deviation", "--out", "shown", "--json")
     assert done.returncode == 0, done.stderr
     assert names(here / "shown") == ["1.png", "2.png", "manifest.sha256", "show.json"]
     assert all(imread(here / "shown" / name).shape[1] > 500 for name in ("1.png", "2.png"))
@@ -49,7 +51,7 @@ def test_the_worst_are_those_with_the_least_deviation(skd_here, here, result, su
     assert all(f"deviation {one:.2f} m" in said["title"] for one, said in zip(least, content["episodes"], strict=True))
 
 
-@pytest.mark.parametrize("words", [("show", "--worst", "1"), ("export", "--format", "csv", "--json")])
+@pytest.mark.parametrize("words", [(*DRAW, "--worst", "1"), ("export", "--format", "csv", "--json")])
 def test_of_figures_that_are_not_credible_that_is_said(words, result, tmp_path, capsys):
     doubtful = edited(result, tmp_path / "doubtful", warnings=[f"{NOT_CREDIBLE}it\ncounts", "harmless"])
     assert run_skd(*words, doubtful, "--out", tmp_path / "out") == 0
@@ -69,24 +71,28 @@ def test_files_that_a_command_needs_and_only_the_result_has_are_told(tmp_path, s
 
 def test_films(skd_here, here, result, monkeypatch):
     monkeypatch.setattr("skd_evaluator.report.episode_pictures._RATE", 3)
-    assert skd_here("show", str(result), "--format", "gif", "--out", "film").returncode == 0
+    assert skd_here("report", str(result), "--format", "gif", "--out", "film").returncode == 0
     with Image.open(here / "film" / "1.gif") as film:
         assert film.n_frames > 5
         first = np.asarray(film.convert("RGB"))
         film.seek(film.n_frames - 1)
         assert (np.asarray(film.convert("RGB")) != first).any()
     if shutil.which("ffmpeg"):
-        assert skd_here("show", str(result), "--format", "mp4", "--out", "mp4").returncode == 0
+        assert skd_here("report", str(result), "--format", "mp4", "--out", "mp4").returncode == 0
         assert (here / "mp4" / "1.mp4").read_bytes()[4:8] == b"ftyp"
     monkeypatch.setenv("PATH", "")
-    one_line(skd_here("show", str(result), "--format", "mp4", "--out", "none"), 2, "ffmpeg", "--format gif")
+    one_line(skd_here("report", str(result), "--format", "mp4", "--out", "none"), 2, "ffmpeg", "--format gif")
     assert not (here / "none").exists()
 
 
 def test_what_is_not_there(skd_here, here, sweep, result):
-    one_line(skd_here("show", str(sweep), "--out", "x"), 2, "2 assessments")
-    one_line(skd_here("show", str(result), "--episode", "7", "--out", "x"), 2, "holds no such episode")
-    one_line(skd_here("show", str(result), "--objective", "frechet", "--out", "x"), 2, "no episode of that kind")
+    one_line(skd_here(*DRAW, str(sweep), "--out", "x"), 2, "2 assessments")
+    one_line(skd_here(*DRAW, str(result), "--episode", "7", "--out", "x"), 2, "holds no such episode")
+    one_line(
+        skd_here(*DRAW, str(result), "--objective", "frechet", "--out", "x"),
+        2,
+        "no episode of that kind",
+    )
     assert not (here / "x").exists()
 
 

@@ -167,6 +167,6 @@ def test_a_car_that_has_no_multiplier_is_said_in_a_line(
 ) -> None:
     own = edited(sweep / "synthetic" / "C_0.5", tmp_path / "own", controller=controller, multiplier=None)
     (tmp_path / "trials.csv").write_text("phi,clearance\nsynthetic/0,1.0\n", "utf-8")
-    assert run_skd("calibrate", own, tmp_path / "trials.csv", "--out", tmp_path / "out") == 2
+    assert run_skd("fuse", "--calibrate", own, tmp_path / "trials.csv", "--out", tmp_path / "out") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line

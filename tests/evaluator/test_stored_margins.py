@@ -121,15 +121,15 @@ def test_the_gate_goes_by_the_margin(folders, tmp_path):
 
 def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, folders, tmp_path):
     one, two = folders[0.5], edited(folders[1.15], tmp_path / "two", knowledge="nothing")
-    done = skd_here("plan", str(one), str(two), "--difference", "0.3", "--json")
+    done = skd_here("compare", str(one), str(two), "--difference", "0.3", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["figure"] == "margin"
     margins = [np.array(read_result(folder).groups["margin"]) for folder in (one, two)]
     within = (margins[1] - margins[0]).var(axis=1, ddof=1).mean()
     assert found["variance_within"] == pytest.approx(within)
-    refused = skd_here("plan", str(one), str(two), "--difference", "0.3", "--figure", "deviation")
+    refused = skd_here("compare", str(one), str(two), "--difference", "0.3", "--figure", "deviation")
     one_line(refused, 2, "planned figures are not compared", "knowledge of the car known and nothing")
     limited = edited(folders[1.15], tmp_path / "limited", maximum_distance=2.0)
-    refused = skd_here("plan", str(one), str(limited), "--difference", "0.3", "--figure", "deviation")
+    refused = skd_here("compare", str(one), str(limited), "--difference", "0.3", "--figure", "deviation")
     one_line(refused, 2, "planned figures are not compared", "maximum distance (m) none and 2")

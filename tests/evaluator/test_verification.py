@@ -38,9 +38,9 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 def commands(folder: Path, other: Path) -> list[list[str]]:
     return [
         ["report", str(folder), "--out", "r.html"],
-        ["show", str(folder), "--out", "shown"],
+        ["report", str(folder), "--format", "png", "--out", "shown"],
         ["compare", str(other), str(folder), "--out", "compared"],
-        ["plan", str(folder), "--width", "0.2"],
+        ["compare", str(folder), "--width", "0.2"],
         ["assess", "--fail-if-worse-than", str(folder), "--out", "assessed"],
     ]
 

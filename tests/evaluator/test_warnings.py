@@ -126,7 +126,7 @@ def test_a_car_that_is_judged_by_slow_touches_is_named(
 
 
 RESULT = {
-    "controller": "a.b:C",
+    "car": "a.b:C",
     "eta_max": 5.0,
     "margin": 5.0,
     "margin_ci95": (5.0, 5.0),
@@ -162,8 +162,8 @@ def test_a_search_that_has_not_converged_gives_an_upper_bound() -> None:
     found = {"margin": 2.0, "margin_ci95": (1.5, 2.5), "margin_beyond": 3, "margin_budget": 16}
     result = {**RESULT, **found, "margin_converged": False}
     said = headline(result)
-    assert "safety margin at most 2.00 m" in said
-    assert "No hit found in 3 of 12 trials: each counts as 5 m." in said
+    assert "Safety margin at most 2.00 m" in said
+    assert "No hit found in 3 of 12: each counts as 5 m." in said
     assert "--margin-limit" in said
     assert "had not converged at 16 candidates a trial" in margin_warnings(result, 0, 0)[0]
     converged = {**result, "margin_converged": True}

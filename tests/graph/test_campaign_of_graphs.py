@@ -8,7 +8,7 @@ from pathlib import Path
 
 from common import wait_until
 from graph_support import Skd, assert_same_results, skd
-from skd_evaluator.extensions.campaign.episode_store import FILE_NAME
+from skd_evaluator.assessment.files.episode_store import FILE_NAME
 
 SIZES = {"safe_count": 1, "kamikaze_count": 40, "collision_runs": 4, "simulations": 1500, "objective": "deviation"}
 SIZES |= {"behaviour": "none", "margin_limit": 0}

@@ -73,7 +73,7 @@ def test_what_it_raises_is_said_with_the_line_of_its_code(error: BaseException, 
         controller.command(CAR, ADVERSARY)
     line = Answers.command.__code__.co_firstlineno + 2
     assert f"controller mine: command failed with {said}" in str(caught.value)
-    assert f"(test_user_controller.py, line {line})" in str(caught.value)
+    assert f"test_user_controller.py, line {line})" in str(caught.value)
 
 
 def test_it_cannot_change_the_scenario_of_the_world() -> None:

@@ -74,7 +74,7 @@ def code_digests(car: CarUnderTest, command: str = "", others: Iterable[str] = (
     paths = code_paths(car, command)
     if not paths and not car.is_own:
         return None
-    paths += [path for target in others if (path := _path_of_module(target.partition(":")[0])) is not None]
+    paths += [path for target in others if (path := _path_of_target(target)) is not None]
     files = {str(path): files_of(path) for path in dict.fromkeys(paths)}
     if any(len(found) > MOST_FILES for found in files.values()):
         return None
@@ -88,7 +88,7 @@ def code_paths(car: CarUnderTest, command: str = "") -> list[Path]:
     if not car.is_external:
         with suppress(UsageError):
             target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
-            path = _path_of_module(target.partition(":")[0])
+            path = _path_of_target(target)
             return [] if path is None else [path]
         return []
     found: list[Path] = []
@@ -125,6 +125,16 @@ def digest_of(files: Sequence[Path]) -> str:
             digest.update(os.fsencode(os.path.relpath(file, top)) + b"\0")
             digest.update(sha256_of(file).encode())
     return digest.hexdigest()
+
+
+def _path_of_target(target: str) -> Path | None:
+    """Return the file, or the folder of the package, that `file.py:Class` or `package.module:Class` leads to."""
+    module = target.rpartition(":")[0]
+    if not module.endswith(".py"):
+        return _path_of_module(module)
+    path = Path(module)
+    inside = [folder for folder in path.parents if (folder / "__init__.py").is_file()]
+    return inside[-1] if inside else path if path.is_file() else None
 
 
 def _path_of_module(module: str) -> Path | None:

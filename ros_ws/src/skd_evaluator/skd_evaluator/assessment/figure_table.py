@@ -400,6 +400,8 @@ FIGURES = (
     Figure("seconds", Kind(ref("number"), "s"), lambda a: round(a.seconds, 3),
            "wall-clock time of the command, of a sweep of this car, s", _SETTING, recomputed=False, campaign=24),
     Figure("seed", COUNT, lambda a: a.plan.seed, of=_SETTING, compare=22, junit=10),
+    Figure("car", TEXT, lambda a: a.plan.car.label, "what the car is called where people read it", _SETTING,
+           recomputed=False),
     Figure("controller", TEXT, lambda a: a.plan.controller, of=_SETTING, recomputed=False),
     Figure("multiplier", NUMBER, lambda a: a.plan.car.stated_multiplier, "C of the basic controller", _SETTING,
            recomputed=False),
@@ -470,7 +472,7 @@ def figures_html(figures: Mapping[str, Any], warnings: Sequence[str] = ()) -> st
     """
     known = [one for one in shown_in("summary") if isinstance(figures.get(one.key), (int, float))]
     rows = "".join(_row(one, figures) for one in known)
-    what = f"{figures['controller']} in {figures['scenario']['name']}"
+    what = f"{figures['car']} in {figures['scenario']['name']}"
     head = "<tr><th></th><th>value</th><th>95 % interval</th></tr>"
     said = "".join(f"<br>{html.escape(line)}" for line in warnings)
     return f"<table><caption>{html.escape(what)}{said}</caption>{head}{rows}</table>"

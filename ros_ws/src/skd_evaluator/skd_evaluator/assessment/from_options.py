@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import datetime
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -89,7 +90,8 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
             if one.external_only and values[one.name] != one.unsaid:
                 raise UsageError(f"{one.flag} goes with --controller external")
     elif not graph:
-        raise UsageError("--controller external needs the node graph: add --graph")
+        how = "add --graph" if "graph" in values else "skd assess --graph runs it"
+        raise UsageError(f"--controller external needs the node graph: {how}")
     else:
         scenario = with_requested_period(scenario, values["control_period"])
     if graph:
@@ -112,6 +114,8 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
         plain["safe_count"] = min(plain["safe_count"], count_safe_trajectories(REGULATORY, scenario))
     controller = plain.get("controller", CampaignOptions.controller)  # a sweep has basic cars only
     car, model = CarUnderTest(controller, plain["multiplier"]), bool(plain["car_model"])
+    if car.is_external and not plain.get("name"):
+        plain["name"] = name_of_command(plain.get("controller_command") or "")
     requested = plain.get("knowledge")
     known = Knowledge(requested) if requested else Knowledge.LEARNED if model else default_knowledge(car)
     check_knowledge(known, car, model=model)
@@ -121,6 +125,24 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
         plain["car_model"] = car_model_for_scenario(source, scenario)
         check_unchanged(file_of(source).parent, [file_of(source).name])
     return Plan(scenario, **values_of(CampaignOptions, plain))
+
+
+_STARTERS = ("bash", "sh", "env", "exec", "python", "python3", "ros2", "run", "launch", "source", "docker", "sudo")
+"""Words of a command that start something else, which is told by its name."""
+
+
+def name_of_command(command: str) -> str:
+    """Return the name of a stack by the command that starts it: package and program of ros2, else file or program."""
+    try:
+        words = shlex.split(command)
+    except ValueError:  # a quotation mark too many: it will not start either
+        return ""
+    for verb in ("run", "launch"):
+        if "ros2" in words and words[words.index("ros2") + 1 : words.index("ros2") + 2] == [verb]:
+            named = [word for word in words[words.index("ros2") + 2 :] if not word.startswith("-")][:2]
+            return "/".join(Path(word).name for word in named if ":=" not in word)
+    named = [word for word in words if not word.startswith("-") and "=" not in word]
+    return next((Path(word).name for word in named if Path(word).name not in _STARTERS), "")
 
 
 def default_folder(task: str) -> Path:

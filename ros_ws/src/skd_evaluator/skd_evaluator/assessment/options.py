@@ -42,12 +42,8 @@ class CampaignOptions(EpisodeOptions):
 
     safe: str = option(
         SYNTHETIC,
-        "where the safe trajectories come from: synthetic (planned by an adversary that avoids a basic car), own (by "
-        "one that avoids the car under test), walkers (drawn from the behaviour model walkers: straight crossings that "
-        "differ in pace, start, drift and hesitation, and that the same basic car does not hit), regulatory (what the "
-        "scenario's section protocol prescribes for a test's target), or a path of recorded ones: the folder of CITR's "
-        "vci_lat_uni, a csv file with columns t, x, y, or a folder of such files. If the car hits in more than 95 "
-        "percent of the runs along a trajectory, a warning names it: it is not safe with this car",
+        "source of safe trajectories: synthetic (past a basic car), own (past yours), walkers, regulatory "
+        "(a protocol), or files: CITR, csv",
         metavar="SOURCE",
         group="car and test",
         commands=("assess", "episode", "drive"),
@@ -62,7 +58,7 @@ class CampaignOptions(EpisodeOptions):
     )
     collision_runs: int = option(
         500,
-        "in how many runs the adversary just follows a safe trajectory: how often it is hit is the contact rate",
+        "how many runs follow a safe trajectory unchanged: the nominal collision rate",
         low=1,
         high=10_000_000,
         **_CAMPAIGN,
@@ -83,8 +79,8 @@ class AssessmentOptions:
 
     margin_limit: int = option(
         DEFAULT_MARGIN_LIMIT,
-        "how many candidate trajectories the search for the margin may drive in each trial. The search doubles the "
-        "number until the mean hardly changes. 0: no margin. The margin of the basic car is exact and needs no search",
+        "how many candidate trajectories the search for the margin may drive in each trial. It stops earlier "
+        "when the mean no longer changes. 0: no margin",
         low=0,
         high=1_000_000,
         metavar="N",
@@ -92,9 +88,7 @@ class AssessmentOptions:
     )
     behaviour: str = option(
         WALKERS,
-        "how people walk who do not try to be hit; the risk R(s) says how likely the front of the moving car hits "
-        "them. walkers (pedestrians who cross in front of a slow vehicle), a file that skd fit --people has written, "
-        "or none: then no risk is computed",
+        "how people walk, for the risk: walkers, a file of skd fit --people, or none (no risk)",
         metavar="NAME",
         commands=("assess", "sweep", "episode"),
     )
@@ -106,21 +100,20 @@ class AssessmentOptions:
         high=10_000_000,
         metavar="N",
         commands=("assess", "sweep"),
-        unset="2000 for the basic car, 500 for any other, 100 through the node graph; but at most four times "
-        "--collision-runs, and through the node graph at most as many",
+        unset="2000 for the basic car, 500 for others, 100 through the graph, but at most four times --collision-runs",
         seldom=True,
     )
     risk_subset: bool = option(
         False,
-        "use subset simulation wherever the crossings show fewer than 50 hits, whatever the car. For the basic car "
-        "that is always done; for others it takes 16000 crossings or more at each scale",
+        "use subset simulation wherever the crossings show fewer than 50 hits, whatever the car: 16000 crossings "
+        "or more a scale",
         commands=("assess", "sweep"),
         seldom=True,
     )
     curve: bool = option(
         False,
-        "also plan kamikazes that may bend φ only up to a limit, for several limits: each gives a point in the picture "
-        "of the vulnerability curve (vulnerability.png)",
+        "also plan kamikazes that may deviate only up to a limit, for several limits: points of the "
+        "vulnerability curve",
         commands=("assess",),
         seldom=True,
     )
@@ -139,8 +132,7 @@ class EvaluatorOptions(CommandOptions):
 
     control_period: float | None = graph_option(
         None,
-        "time between two decisions of an external controller, s. The car's state is published, and a command taken, "
-        "once in each such period. It must divide the time step of the scenario",
+        "time between two decisions of an external controller, s. It must divide the time step of the scenario",
         float,
         low=0.0,
         high=10.0,
@@ -150,8 +142,8 @@ class EvaluatorOptions(CommandOptions):
     )
     lifecycle_nodes: str = graph_option(
         "",
-        "names of the controller's managed (lifecycle) nodes, with commas in between, in the order in which they are "
-        "started, such as /planner,/guard",
+        "names of the controller's managed (lifecycle) nodes, in the order in which they start, such as "
+        "/planner,/guard",
         metavar="NAMES",
         unset="none",
     )
@@ -173,8 +165,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     message_folder: tuple[str, ...] | None = graph_option(
         None,
-        "folder with packages of message definitions (.msg files) that no sourced workspace has. They are built once. "
-        "The option can be given several times",
+        "folder with packages of .msg files that no sourced workspace has. Can be given several times",
         tuple,
         metavar="DIR",
         unset="none",
@@ -183,18 +174,15 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     reset: str = graph_option(
         JUMP,
-        "how the controller learns that a new episode begins; several ways are given with commas in between: jump (the "
-        "car's pose jumps, while time stamps go on), initialpose (the start pose is published on /initialpose), "
-        "lifecycle (the lifecycle_nodes are deactivated, cleaned up, configured and activated), restart (its command "
-        "is started anew)",
+        "how the controller learns of a new episode: jump (of the pose), initialpose, lifecycle (of "
+        "lifecycle_nodes), restart (of its command), or several with commas in between",
         choices=Lists(RESETS),
         metavar="HOW",
         launches=(),
     )
     graphs: int = graph_option(
         1,
-        "how many node graphs run side by side, each in a ROS domain of its own. With reset restart one runs while "
-        "another starts",
+        "how many node graphs run side by side, each in a ROS domain of its own",
         low=1,
         high=16,
         metavar="N",
@@ -203,9 +191,8 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     nodes: str = graph_option(
         COMPOSED,
-        "where simulator and adversary run: composed (in the process of the command, so that what they say to each "
-        "other does not go through the network, which is faster), or separate (each in a process of its own). They are "
-        "separate anyway in real time, with a quiet time, with several graphs and with a simulator that is not SKD's",
+        "where simulator and adversary run: composed (in this process, which is faster), or separate. Real time, "
+        "quiet_time and several graphs are always separate",
         choices=Names((COMPOSED, SEPARATE)),
         launches=(),
         commands=("assess", "episode", "probe"),

@@ -1,14 +1,16 @@
-"""Arguments that several commands share, made from the tables of options, and what they name. Light: help reads it."""
+"""The parser of commands, and arguments that several share, made from the tables of options. Light: help reads it."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.options.options import Option, options_of, read_options
 
 from skd_evaluator.assessment.options import (
@@ -24,8 +26,57 @@ if TYPE_CHECKING:
     from skd_evaluator.assessment.run.workers import Workers
 
 CAR_GROUP = "car and test"
+EXIT_USAGE = 2
 Parse = Callable[[str], Any]
 _MOST_STEPS = 100
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors and usage are one line, and whose help leaves out what is rare.
+
+    Attributes:
+        everything: whether the help has all options.
+    """
+
+    everything = False
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with the message."""
+        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+    def format_help(self) -> str:
+        """Return the help, with a short usage, and how many options it leaves out."""
+        self.usage = " ".join([self.prog, *filter(None, map(_usage, self._actions)), "[options]"])
+        hidden = sum(one.help is argparse.SUPPRESS for one in self._actions)
+        self.epilog = f"--help-all shows {hidden} more options." if hidden else None
+        return super().format_help()
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if message and file is not None and file is sys.stdout:
+            file.write(message)  # Python's own drops without a word what the disk does not take
+        else:
+            super()._print_message(message, file)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(str(value), map(str, action.choices or ()))
+            raise
+
+
+def _usage(one: argparse.Action) -> str:
+    """Return how an argument stands in the usage; nothing for what may be left out."""
+    name = str(one.metavar or one.dest.upper())
+    if one.option_strings:
+        return f"{one.option_strings[0]} {name}" if one.required else ""
+    many = f"{name} …" if one.nargs in ("+", "*") else name
+    return f"[{many}]" if one.nargs in ("?", "*") else many
+
+
+def rare(text: str) -> str:
+    """Return the text of an option that only --help-all shows."""
+    return text if Parser.everything else argparse.SUPPRESS
 
 
 def _number(kind: type[int] | type[float], low: float, high: float, *, above: bool = False) -> Parse:
@@ -129,25 +180,27 @@ def add_options(
     command: str,
     title: str = "",
     table: Callable[..., Any] = CampaignOptions,
+    hidden: Sequence[str] = (),
     **changes: Mapping[str, Any],
 ) -> None:
-    """Add the options of a table that a command takes; seldom ones as parameters of `add_parameters`.
+    """Add the options of a table that a command takes.
 
     Args:
         group: the parser, or group of one, that gets them.
         command: name of the command that takes them.
         title: add only the options of the group with this title; all by default.
         table: the dataclass whose fields are the options.
+        hidden: names of options that are rare for this command.
         changes: other arguments for `add_argument`, by name of the option.
     """
     known: dict[str, tuple[Option, Callable[..., Any]]] = group._defaults.setdefault("parameters", {})
     for one in options_of(table):
         if command in one.commands and title in ("", one.group):
             known[one.name] = (one, table)
-            if one.seldom:
-                group.set_defaults(**{one.name: one.unsaid})
-            else:
-                group.add_argument(one.flag, **{**_argument(one), **changes.get(one.name, {})})
+            found = {**_argument(one), **changes.get(one.name, {})}
+            if one.seldom or one.name in hidden:
+                found["help"] = rare(found["help"])
+            group.add_argument(one.flag, **found)
 
 
 def _argument(one: Option) -> dict[str, Any]:
@@ -157,6 +210,8 @@ def _argument(one: Option) -> dict[str, Any]:
     found: dict[str, Any] = {"default": one.unsaid, "metavar": one.metavar, "help": described(one).replace("%", "%%")}
     if one.choices is not None:
         return {**found, "choices": one.choices, "metavar": one.metavar or f"{{{','.join(one.choices.own)}}}"}
+    if one.kind is tuple:
+        found["action"] = "append"
     low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
     if one.kind in (int, float):
         found["type"] = _number(one.kind, low, high, above=one.kind is float and one.absent is not None)
@@ -171,18 +226,15 @@ def described(one: Option) -> str:
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Add -p and --params-file, as ROS 2 has them, for all options of the command's tables, those of no flag included.
+    """Add -p and --params-file, as ROS 2 has them, for all options of the command's tables.
 
     The command line counts more than a file.
     """
     group = parser.add_argument_group("parameters")
-    group.add_argument(
-        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help="a further option; see the last line"
-    )
-    text = "YAML file of options by name, also as ROS 2 writes parameters"
+    text = rare("an option by name, as ROS 2 has parameters")
+    group.add_argument("-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help=text)
+    text = rare("YAML file of options by name, also as ROS 2 writes parameters")
     group.add_argument("--params-file", type=Path, metavar="FILE", help=text)
-    names = [one.name for one, _ in parser.get_default("parameters").values() if one.seldom]
-    parser.epilog = f"Options of -p and --params-file alone: {', '.join(names)}."
 
 
 def parameters_of(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -223,22 +275,13 @@ def _read(content: Any, where: str, arguments: argparse.Namespace) -> dict[str, 
     return found
 
 
-_PAPER = {
-    "safe_count": (5, "how many safe trajectories (φ) of each kind there are"),
-    "kamikaze_count": (100, "how many kamikazes are planned for each safe trajectory"),
-}
-
-
-def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add what `assess` and `sweep` share."""
+def add_campaign_arguments(parser: argparse.ArgumentParser, command: str, **changes: Any) -> None:
+    """Add what `assess` and `sweep` share; `changes` as `add_options` takes them."""
     group = parser.add_argument_group("campaign")
-    # The paper's table has the paper's numbers; for a rating more φ say more than more trials on each.
-    paper: dict[str, Any] = {
-        name: {"default": count, "help": f"{text} (default: {count})"} for name, (count, text) in _PAPER.items()
-    }
-    add_options(group, command, group.title or "", **(paper if command == "sweep" else {}))
+    hidden = ("simulations", "objective", "behaviour", "collision_runs", "kamikaze_count")
+    add_options(group, command, group.title or "", hidden=hidden, **changes)
     add_max_aborted_argument(group)
-    add_options(group, command, table=AssessmentOptions)
+    add_options(group, command, table=AssessmentOptions, hidden=hidden)
     add_runner_arguments(group)
     add_parameters(parser)
     add_output_arguments(parser)
@@ -253,8 +296,8 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options that say where episodes run in process."""
     where = parser.add_mutually_exclusive_group()
     add_workers_argument(where)
-    text = "address of a Dask cluster that runs the episodes instead, such as tcp://host:8786 (docs/scale.md)"
-    where.add_argument("--scheduler", metavar="ADDRESS", help=text)
+    text = "address of a Dask cluster that runs the episodes, such as tcp://host:8786 (docs/scale.md)"
+    where.add_argument("--scheduler", metavar="ADDRESS", help=rare(text))
 
 
 def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float | None = None) -> Workers:
@@ -275,13 +318,13 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
         type=percentage,
         default=MAXIMUM_ABORTED,
         metavar="PERCENT",
-        help="how many episodes of any figure may be aborted before the exit code is 1, %% (default: 5)",
+        help=rare("how many episodes of any figure may be aborted before the exit code is 1, %% (default: 5)"),
     )
 
 
 def add_damage_argument(parser: argparse._ActionsContainer) -> None:
     """Add --skip-damaged."""
-    text = "leave out and count recorded episodes that are damaged or implausible, instead of refusing all of them"
+    text = "leave out and count episodes that are damaged or implausible, instead of refusing all"
     add_flag(parser, "--skip-damaged", text)
 
 
@@ -298,8 +341,9 @@ def add_graph_arguments(
     if optional:
         add_flag(group, "--graph", "run the episodes through a graph of ROS 2 nodes")
     if optional and record:
-        add_flag(group, "--record", "keep a recording (a bag) of every episode; needs --graph")
-    add_options(group, command, "", GraphOptions, controller_command={"type": command_line}, **changes)
+        add_flag(group, "--record", "keep a bag of every episode; needs --graph")
+    pacing = () if command == "episode" else ("pacing",)
+    add_options(group, command, "", GraphOptions, pacing, controller_command={"type": command_line}, **changes)
 
 
 def add_output_arguments(
@@ -318,8 +362,8 @@ def add_output_arguments(
 def add_loudness(group: argparse._ActionsContainer) -> None:
     """Add -v and -q."""
     loudness = group.add_mutually_exclusive_group()
-    verbose = "report every step, and the source of an error, on standard error"
-    loudness.add_argument("-v", "--verbose", action="store_true", help=verbose)
+    verbose = "show where in SKD an error comes from"
+    loudness.add_argument("-v", "--verbose", action="store_true", help=rare(verbose))
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
 
 
@@ -349,10 +393,6 @@ def output_path(arguments: argparse.Namespace) -> Path:
 def add_car_arguments(parser: argparse.ArgumentParser, command: str, **changes: Mapping[str, Any]) -> None:
     """Add the options that say which car meets whom; `changes` as `add_options` takes them."""
     group = parser.add_argument_group(CAR_GROUP)
-    add_options(group, command, CAR_GROUP, CampaignOptions, **changes)
-    group.add_argument(
-        "--scenario",
-        metavar="NAME",
-        help="the scenario: the name of a shipped or registered one, or a YAML file (default: crossing; citr_crossing "
-        "with CITR data)",
-    )
+    add_options(group, command, CAR_GROUP, CampaignOptions, ("simulator", "car_model"), **changes)
+    text = "name or YAML file of the scenario (default: crossing, with CITR data citr_crossing)"
+    group.add_argument("--scenario", metavar="NAME", help=text)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
+import threading
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -12,30 +14,34 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Objective, objectives_named
+from skd_sim.options.adversary import objectives_named
 from skd_sim.options.options import values_of
 from skd_sim.simulators.simulator import make_simulator
-from skd_sim.world.episode import EpisodeLog, Mode, counts_in_words
-from skd_sim.world.state import Trajectory
+from skd_sim.world.episode import counts_in_words
 
-from skd_evaluator.assessment.assessment import Assessment, assessment_of
-from skd_evaluator.assessment.context import Context, Recorder
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context, Runner
+from skd_evaluator.assessment.files.episode_store import EpisodeStore, StoringRunner, digest_of, remove_files
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
-from skd_evaluator.assessment.objective_result import kamikaze_set
-from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
+from skd_evaluator.assessment.options import GENERATED, GraphOptions
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.stages.car_model import needs_learning
 from skd_evaluator.assessment.stages.checks import fresh_process
 from skd_evaluator.assessment.stages.pipeline import assess_in_process, compile_for_graph
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.provenance import provenance
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import PREFIX
+from skd_evaluator.provenance import code_digests, environment, provenance
 from skd_evaluator.report.presentation import fill, most_frequent, save_with_scratch, warnings_of, why_failed
 from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.repeat import program
 from skd_evaluator.report.terminal import (
+    command_ages,
     counted,
     details_table,
     few_safe_trajectories,
@@ -76,7 +82,8 @@ def print_result(
     else:
         print_tables(result, details=arguments.details)
         seconds = f"{assessment.seconds:.1f} s"
-        print(seconds if problem else f"{seconds}; results in {out.path}")
+        more = "" if arguments.details else "; --details prints every figure, SKD among them"
+        print(seconds if problem else f"{seconds}; results in {out.path}{more}")
     for line in warnings_of(assessment, said=said):
         print(f"skd {arguments.command}: warning: {line}", file=sys.stderr)
     failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted)]
@@ -119,12 +126,13 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
     print(headline(result))
     print_table(headline_table(result))
-    if result["equivalent_multiplier_note"]:
-        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
-    if (few := few_safe_trajectories(result)) is not None:
-        print(few)
+    for line in (command_ages(result), few_safe_trajectories(result)):
+        if line is not None:
+            print(line)
     if not details:
         return
+    if result["equivalent_multiplier_note"]:
+        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
     print_table(details_table(result))
     if (surrogates := surrogate_table(result)) is not None:
         print_table(surrogates)
@@ -135,42 +143,66 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
         print(f"Stopped {result['until_width']['text']}")
 
 
-def print_what_there_is(plan: Plan, recorder: Recorder, begin: float, arguments: argparse.Namespace) -> int:
-    """Print what an interrupted assessment has found so far, and how much of it is missing; return the exit code."""
-    objectives = objectives_named(arguments.objective)
-    safe: dict[int, Trajectory] = {}
-    tried: dict[tuple[Objective, int], dict[int, EpisodeLog]] = {}
-    runs: list[EpisodeLog] = []
-    for log in recorder.logs:
-        stage, index, trial = split_episode_id(log.episode.episode_id)
-        phi = log.episode.safe_trajectory
-        if phi is not None and log.episode.mode == Mode.KAMIKAZE and stage == Stage.KAMIKAZE:
-            safe.setdefault(index, phi)
-            tried.setdefault((log.episode.objective, index), {}).setdefault(trial, log)  # later ones are bounded
-        elif stage == Stage.NOMINAL:
-            runs.append(log)
-    sets = {
-        objective: [kamikaze_set(safe[index], tried.get((objective, index), {}).values()) for index in sorted(safe)]
-        for objective in objectives
-    }
-    assessment = replace(
-        assessment_of(plan, [safe[index] for index in sorted(safe)], sets, runs),
-        seconds=time.perf_counter() - begin,
-        margin_note="interrupted before it was searched",
-    )
-    result = assessment.as_dict()
-    if arguments.json:
-        print_json({"interrupted": True, **result})
-    else:
-        print_tables(result, details=True)
-    requested = plan.kamikaze_count * plan.safe_count * len(objectives)
-    print(
-        f"skd {arguments.command}: interrupted; nothing was written. What is above is of {assessment.successes} of "
-        f"{requested} kamikaze trajectories and {len(runs)} of {plan.collision_runs} runs along φ; the same command "
-        "begins anew and gives the same",
-        file=sys.stderr,
-    )
-    return EXIT_INTERRUPTED
+class _Kept:
+    """Episodes that are kept as soon as they have run, in a hidden file beside the results, until these are written."""
+
+    def __init__(self, arguments: argparse.Namespace, assessment: Assessment, out: Path) -> None:
+        """Open the file, or begin it.
+
+        Raises:
+            UsageError: --resume is given, and there is none, or it is of another car or version.
+        """
+        self._path, self._arguments, self._out = _place_of_episodes(out), arguments, out
+        if arguments.resume and not self._path.is_file():
+            raise UsageError(f"--resume: no interrupted assessment is kept for --out {out}")
+        if not arguments.resume:
+            remove_files(self._path)
+        car = assessment.plan.car
+        files = code_digests(car, arguments.controller_command or "")
+        self._key = digest_of({"files": files, "environment": dict(environment())})
+        self._store = EpisodeStore(self._path)
+        self.count = self._store.count()
+        self._store.keep_only([self._key])
+        if self.count and not self._store.count():
+            self._store.close()
+            remove_files(self._path)
+            raise UsageError(f"--resume: {out} was begun with other files of the car or another SKD; begin anew")
+
+    def runner(self, runner: Runner) -> Runner:
+        """Return a runner that reads what there is, and keeps what it runs."""
+        return StoringRunner(runner, self._store, self._key, threading.Event())
+
+    def interrupted(self) -> int:
+        """Say in one line how to go on, and return the exit code."""
+        self.count = self._store.count()
+        self._store.close()
+        if not self.count:
+            remove_files(self._path)
+        words = [word for word in self._arguments.command_line if word not in ("--overwrite", "--resume")]
+        words += [] if self._arguments.out else ["--out", str(self._out)]
+        go_on = shlex.join([program(), *words[1:], "--resume"])
+        if self._arguments.json:
+            print_json({"interrupted": True, "episodes": self.count, "resume": go_on})
+        then = (
+            f"; {counted(self.count, 'episode')} kept, go on with: {go_on}" if self.count else "; nothing to keep yet"
+        )
+        print(f"skd {self._arguments.command}: interrupted{then}", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+    def failed(self, error: AssessmentError) -> AssessmentError:
+        """Return the error with how to go on."""
+        kept = counted(self._store.count(), "episode")
+        return type(error)(f"{error}; {kept} kept: --out {self._out} --resume goes on")
+
+    def close(self, *, done: bool) -> None:
+        """Let go of the file; remove it when the results are written."""
+        self._store.close()
+        if done:
+            remove_files(self._path)
+
+
+def _place_of_episodes(out: Path) -> Path:
+    return out.with_name(f"{PREFIX}{out.name}.sqlite")
 
 
 def graph_options(arguments: argparse.Namespace) -> GraphOptions:
@@ -198,27 +230,55 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     if arguments.graph:
         prepare_ros(graph_options(arguments))
+    if arguments.resume and arguments.out is None:
+        raise UsageError("--resume needs --out: the folder of the assessment to go on with")
     out = result_folder(arguments)
     command = arguments.controller_command or ""
     origin = provenance(arguments.command_line, plan.car, controller_command=command)
     assessment = Assessment(plan, provenance=origin)
-    if arguments.graph:
-        assessment, problem = _assess_graph(arguments, assessment, request, out, begin)
-        return print_result(assessment, out, arguments, gate, problem)
-    workers = runner_of(arguments, isolated=plan.runs_others_code, answer_limit=arguments.startup_timeout)
-    recorder = Recorder(workers)
-    fresh = partial(fresh_process, arguments.startup_timeout)
+    kept = _Kept(arguments, assessment, out.path)
+    done = True
     try:
-        with progress_bar(quiet=arguments.quiet) as progress:
-            context = Context(recorder, workers, progress=progress, fresh=fresh, **request)
-            assessment = assess_in_process(context, assessment)
+        assessment, problem = _assess(arguments, assessment, request, out, begin, kept)
+        done = problem is None
     except KeyboardInterrupt:
-        if not any(log.episode.mode == Mode.KAMIKAZE for log in recorder.logs):
-            raise
-        return print_what_there_is(plan, recorder, begin, arguments)
-    assessment = replace(assessment, seconds=time.perf_counter() - begin)
-    problem = out.save(lambda folder: _write(folder, assessment, arguments, may_fork=True))
+        done = False
+        return kept.interrupted()
+    except AssessmentError as error:
+        done = not (arguments.graph or arguments.scheduler)  # else it is likely not the car's fault
+        raise error if done else kept.failed(error) from error
+    finally:
+        kept.close(done=done)
     return print_result(assessment, out, arguments, gate, problem)
+
+
+def _assess(
+    arguments: argparse.Namespace,
+    assessment: Assessment,
+    request: dict[str, Any],
+    out: ResultFolder,
+    begin: float,
+    kept: _Kept,
+) -> tuple[Assessment, str | None]:
+    """Return the assessment, and why it could not be written, if so."""
+    if arguments.graph:
+        return _assess_graph(arguments, assessment, request, out, begin, kept)
+    isolated = assessment.plan.runs_others_code
+    workers = runner_of(arguments, isolated=isolated, answer_limit=arguments.startup_timeout)
+    fresh = partial(fresh_process, arguments.startup_timeout)
+    with progress_bar(quiet=arguments.quiet, steps=_steps(assessment.plan, request)) as progress:
+        context = Context(kept.runner(workers), workers, progress=progress, fresh=fresh, **request)
+        assessment = assess_in_process(context, assessment)
+    assessment = replace(assessment, seconds=time.perf_counter() - begin)
+    return assessment, out.save(lambda folder: _write(folder, assessment, arguments, may_fork=True))
+
+
+def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
+    """Return how the labels of each step of an assessment begin, in order."""
+    steps = ["learning the car"] if needs_learning(plan) else []
+    steps += ["safe trajectories"] if plan.safe in GENERATED else []
+    steps += ["kamikazes", "nominal runs", *(["margin"] if request["margin_limit"] else [])]
+    return [*steps, *(["risk"] if request["risk"].behaviour is not None else [])]
 
 
 def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
@@ -247,7 +307,12 @@ def say(command: str, line: str) -> None:
 
 
 def _assess_graph(
-    arguments: argparse.Namespace, assessment: Assessment, request: dict[str, Any], out: ResultFolder, begin: float
+    arguments: argparse.Namespace,
+    assessment: Assessment,
+    request: dict[str, Any],
+    out: ResultFolder,
+    begin: float,
+    kept: _Kept,
 ) -> tuple[Assessment, str | None]:
     compile_for_graph(assessment.plan, request["objectives"])
     with out.scratch() as scratch:
@@ -258,8 +323,8 @@ def _assess_graph(
             simulator=assessment.plan.simulator,
             record_to=scratch.folder / "bags" if arguments.record else None,
         )
-        with progress_bar(quiet=arguments.quiet) as progress:
-            assessment = assess_through_graph(assessment, setting, {**request, "progress": progress})
+        with progress_bar(quiet=arguments.quiet, steps=_steps(assessment.plan, request)) as progress:
+            assessment = assess_through_graph(assessment, setting, {**request, "progress": progress}, kept.runner)
         assessment = replace(assessment, seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, assessment, arguments))
     return assessment, problem

@@ -1,13 +1,12 @@
-"""The commands, their options, and the parser, whose errors are one line. Light: it is imported at every start."""
+"""The commands in their groups, and their options. Light: it is imported at every start."""
 
 from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean
@@ -17,6 +16,8 @@ from skd_sim.options.registry import Registry
 from skd_evaluator.assessment.options import AssessmentOptions, CampaignOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
+    EXIT_USAGE,
+    Parser,
     add_campaign_arguments,
     add_car_arguments,
     add_count,
@@ -32,54 +33,56 @@ from skd_evaluator.cli.arguments import (
     add_workers_argument,
     parameters_of,
     positive_number,
+    rare,
     real_number,
     steps_of,
     whole_number,
 )
 from skd_evaluator.cli.gate import add_gate_arguments
 
-EXIT_USAGE = 2
 COMMANDS = "skd.commands"
 """Group of entry points: functions that add a command's parser to what `ArgumentParser.add_subparsers` returns. The
 parser's default `module` names the module whose `run` is given the arguments and returns the exit code."""
+GROUPS = {
+    "rate": ("assess", "campaign", "ncap", "replay", "episode", "drive"),
+    "look": ("report", "list", "scenarios", "doctor"),
+    "compare and gate": ("compare", "verify"),
+    "exchange": ("export", "import"),
+    "research": ("sweep", "probe", "fit", "fuse"),
+}
+"""The commands as the help shows them; those of installed packages come last."""
 _DEFAULT_FOLDER = Path("skd_results")
 _DETAILS = "print every figure, and a line for each safe trajectory"
 _FIGURES = ("margin", "deviation", "skd", "nominal_collision_rate", "risk_1")
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
+class _Skd(Parser):
+    """The parser of all commands, whose help has them in groups."""
 
-    def error(self, message: str) -> NoReturn:
-        """Leave with the message."""
-        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        if message and file is not None and file is sys.stdout:
-            file.write(message)  # Python's own drops without a word what the disk does not take
-        else:
-            super()._print_message(message, file)
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        try:
-            super()._check_value(action, value)
-        except argparse.ArgumentError as error:
-            error.message += did_you_mean(str(value), map(str, action.choices or ()))
-            raise
+    def format_help(self) -> str:
+        """Return the help."""
+        (commands,) = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))
+        said = {one.dest: one.help or "" for one in commands._choices_actions}
+        known = {name for names in GROUPS.values() for name in names}
+        lines = ["usage: skd COMMAND [options]", "", str(self.description)]
+        for title, names in {**GROUPS, "of installed packages": tuple(said.keys() - known)}.items():
+            rows = [f"  {name:<10}{said[name]}" for name in names if name in said]
+            lines += ["", title, *rows] if rows else []
+        return "\n".join([*lines, "", "skd COMMAND --help explains a command, skd --version names the version.", ""])
 
 
 def make_parser(words: Sequence[str] = ()) -> Parser:
     """Return the parser of all commands; of SKD's own alone if the first word is one of these, which is quicker."""
-    parser = Parser(
+    Parser.everything = "--help-all" in words
+    parser = _Skd(
         prog="skd",
-        description="How safe is a self-driving car's software? Measure how far a pedestrian may deviate from a safe "
-        "crossing before the car collides.",
+        description="Measure how far a pedestrian may deviate from a safe crossing before a self-driving car collides.",
     )
     parser.add_argument("--version", action=_Version, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
     for add in (
-        _add_assess, _add_sweep, _add_episode, _add_replay, _add_compare, _add_verify, _add_plan, _add_report,
-        _add_show, _add_scenarios, _add_probe, _add_fit, _add_list, _add_doctor, _add_drive,
+        _add_assess, _add_sweep, _add_episode, _add_replay, _add_compare, _add_verify, _add_report, _add_scenarios,
+        _add_probe, _add_fit, _add_list, _add_doctor, _add_drive,
     ):  # fmt: skip
         add(commands)
     if not words or words[0] not in commands.choices:
@@ -89,6 +92,8 @@ def make_parser(words: Sequence[str] = ()) -> Parser:
                 registry.find(name)(commands)
             except UsageError as error:  # it cannot be loaded
                 commands.add_parser(name, help=str(error)).set_defaults(problem=str(error))
+    for one in commands.choices.values():
+        one.add_argument("--help-all", action="help", help="show all options, rare ones too, and exit")
     return parser
 
 
@@ -107,9 +112,6 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     if unknown:
         flags = [flag for action in chosen._actions for flag in action.option_strings]
         given = [word.partition("=")[0] for word in unknown if re.match(r"--\w", word)]
-        known = getattr(arguments, "parameters", {})
-        if seldom := next((name for flag in given if (name := flag[2:].replace("-", "_")) in known), ""):
-            chosen.error(f"unrecognized arguments: {' '.join(unknown)}; give it as -p {seldom}:=VALUE")
         near = next(filter(None, (did_you_mean(flag, flags) for flag in given)), "")
         chosen.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
     if found := parameters_of(arguments):
@@ -140,25 +142,20 @@ class _Version(argparse.Action):
 def _add_assess(commands: Any) -> None:
     assess = commands.add_parser(
         "assess",
-        help="rate one car: its margin and its SKD",
-        description="Rate one car. A safe trajectory φ is how an adversary (say, a pedestrian) crosses unharmed; a "
-        "kamikaze leaves it in order to be hit. The margin is the least deviation from φ with which the moving car "
-        "hits; it is a property of the car. The Safe-Kamikaze Distance (SKD), the paper's measure, says how far "
-        "kamikazes deviate who plan with what they know about the car.",
+        help="rate one car: its safety margin, nominal collision rate and risk",
+        description="Rate one car. Pedestrians cross on safe trajectories φ. The safety margin is the least deviation "
+        "from φ with which the moving car hits. Kamikazes are pedestrians that plan to be hit with what they know: "
+        "their distance from φ is the Safe-Kamikaze Distance (SKD).",
     )
     add_car_arguments(assess, "assess")
     add_graph_arguments(assess, "assess", optional=True)
     add_campaign_arguments(assess, "assess")
     add_gate_arguments(assess)
+    add_flag(assess, "--resume", "go on with the assessment in --out that was interrupted")
     add_flag(assess, "--details", _DETAILS)
-    add_flag(assess, "--no-pictures", "draw no pictures beside the figures, which saves about a second")
-    assess.add_argument(
-        "--until-width",
-        type=positive_number,
-        metavar="W",
-        help="add --safe-count safe trajectories at a time, at most 10 times, until the 95 %% interval of the planned "
-        "deviation is at most W metres wide; intervals allow for being looked at repeatedly",
-    )
+    add_flag(assess, "--no-pictures", rare("draw no pictures, which saves about a second"))
+    text = "add --safe-count trajectories at a time, at most 10 times, until the planned deviation's interval is W wide"
+    assess.add_argument("--until-width", type=positive_number, metavar="W", help=rare(text))
 
 
 def _add_sweep(commands: Any) -> None:
@@ -166,14 +163,22 @@ def _add_sweep(commands: Any) -> None:
         "sweep",
         help="the paper's experiment: rate the basic car with nine multipliers C",
         description="Repeat the paper's experiment: margin, SKD and contact rate of the basic car with each multiplier "
-        "C, on synthetic safe trajectories and, if --safe gives them, on recorded ones or walkers.",
+        "C. The safe trajectories are synthetic ones, and those of --safe beside them.",
     )
-    text = "walkers, or recorded safe trajectories: CITR's vci_lat_uni, a csv file with columns t, x, y, or a folder"
+    text = "walkers, or recorded ones: CITR's vci_lat_uni, a csv file with columns t, x, y, or a folder"
     sweep.add_argument("--safe", metavar="SOURCE", help=text)
     text = "rate the basic car with these multipliers C instead of the paper's nine (0.5 to 1.15)"
     sweep.add_argument("--multipliers", type=real_number(0.0, 100.0), nargs="+", metavar="C", help=text)
     add_options(sweep, "sweep", CAR_GROUP)
-    add_campaign_arguments(sweep, "sweep")
+    # The paper's numbers; for a rating more φ say more than more trials on each.
+    paper = {
+        name: {"default": count, "help": f"how many {what} (default: {count})"}
+        for name, count, what in (
+            ("safe_count", 5, "safe trajectories (φ) there are of each kind"),
+            ("kamikaze_count", 100, "kamikazes are planned for each safe trajectory"),
+        )
+    }
+    add_campaign_arguments(sweep, "sweep", **paper)
 
 
 def _add_episode(commands: Any) -> None:
@@ -183,13 +188,10 @@ def _add_episode(commands: Any) -> None:
         description="Run one episode through the node graph and record it as a bag.",
     )
     add_car_arguments(episode, "episode")
-    text = (
-        "what the adversary does: safe (cross unharmed), kamikaze (be hit), replay (follow a safe trajectory), or risk "
-        "(walk it as people do, as --behaviour and --scale say) (default: kamikaze)"
-    )
+    text = "what the adversary does: cross safely, be hit, follow φ, or walk φ as people do (default: kamikaze)"
     episode.add_argument("--mode", choices=("safe", "kamikaze", "replay", "risk"), default="kamikaze", help=text)
-    add_options(episode, "episode", table=AssessmentOptions)
-    text = "with --mode risk, by what the deviations of people are multiplied (default: 1)"
+    add_options(episode, "episode", table=AssessmentOptions, hidden=("behaviour",))
+    text = rare("with --mode risk, by what the deviations of people are multiplied (default: 1)")
     episode.add_argument("--scale", type=positive_number, default=1.0, metavar="S", help=text)
     add_count(episode, "--trial", 0, 2**63 - 1, "which trial of the assessment to repeat, from 0", default=0)
     # A single episode has one objective, and one φ: that of a campaign with as many.
@@ -197,10 +199,9 @@ def _add_episode(commands: Any) -> None:
         "default": str(CampaignOptions.objective),
         "choices": OBJECTIVES,
         "metavar": "NAME",
-        "help": "what the kamikaze is rewarded for: deviation (a small one), paper (colliding soon), or frechet (a "
-        "small Fréchet distance to φ) (default: %(default)s)",
+        "help": "what the kamikaze is rewarded for: deviation, paper or frechet (default: %(default)s)",
     }
-    add_options(episode, "episode", "campaign", objective=single)
+    add_options(episode, "episode", "campaign", hidden=("simulations",), objective=single)
     text = "how many safe trajectories the assessment has to which this episode belongs"
     add_count(episode, "--safe-count", 1, 65_535, text, default=1)
     add_count(episode, "--safe-number", 0, 65_534, "which of them the episode is about, from 0", default=0)
@@ -217,8 +218,8 @@ def _add_replay(commands: Any) -> None:
     )
     add_paths(replay, "paths", "PATH", "a bag folder, an .mcap file, or a folder of them")
     replay.add_argument("--campaign", metavar="NAME", help="which campaign to rate, if the bags hold several")
-    text = "leave out each kamikaze that ended up further than this many metres from its safe trajectory"
-    replay.add_argument("--maximum-distance", type=positive_number, metavar="M", help=text)
+    text = "leave out each kamikaze that ended further than this many metres from its safe trajectory"
+    replay.add_argument("--maximum-distance", type=positive_number, metavar="M", help=rare(text))
     add_max_aborted_argument(replay)
     add_options(replay, "replay", table=AssessmentOptions)
     add_damage_argument(replay)
@@ -230,14 +231,26 @@ def _add_replay(commands: Any) -> None:
 def _add_compare(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
-        help="put assessments side by side and say which car is safer",
-        description="Put results of skd assess side by side: their figures in one table, their vulnerability curves in "
-        "one picture. Of each car it says whether it is safer or less safe than the first, or cannot be told apart "
-        "from it. That goes by margin and risk: one of them has to differ, and none the other way. Results about the "
-        "same safe trajectories φ are compared trajectory by trajectory.",
+        help="put results side by side: which car is safer, and how many trajectories it takes to tell",
+        description="Put results side by side, and say whether each car is safer or less safe than the first. That "
+        "goes by margin and risk: one of them has to differ, and none the other way. With --width or --difference it "
+        "says how many safe trajectories φ a precision takes, by how much earlier results vary.",
     )
-    add_paths(compare, "paths", "DIR", "folder of an assessment; the others are compared with the first")
-    add_flag(compare, "--no-pictures", "draw no pictures beside comparison.json, which saves about half a second")
+    text = "folder of an assessment, a campaign, or one above some; the others are compared with the first"
+    add_paths(compare, "paths", "DIR", text, nargs="*")
+    add_flag(compare, "--no-pictures", rare("draw no pictures, which saves about half a second"))
+    size = compare.add_argument_group("how many trajectories")
+    goal = size.add_mutually_exclusive_group()
+    text = "until the 95 %% interval is this wide, in the figure's unit: m, or a share of runs"
+    goal.add_argument("--width", type=positive_number, metavar="W", help=text)
+    text = "until this difference between two cars is found, m"
+    goal.add_argument("--difference", type=positive_number, metavar="D", help=text)
+    text = "probability with which the difference is found (default: 0.8)"
+    size.add_argument("--power", type=real_number(0.06, 0.9999), default=0.8, metavar="P", help=text)
+    add_flag(size, "--unpaired", "the two cars are rated on different safe trajectories")
+    choices = ("margin", "deviation", "skd", "contact_rate")
+    size.add_argument("--figure", choices=choices, default="margin", help="which figure (default: margin)")
+    add_count(size, "--kamikaze-count", 2, 1_000_000, "only with this many kamikazes for each φ")
     add_output_arguments(compare)
 
 
@@ -252,85 +265,40 @@ def _add_verify(commands: Any) -> None:
     add_flag(verify, "--json", "print JSON, which names every figure, instead of lines")
 
 
-def _add_plan(commands: Any) -> None:
-    plan = commands.add_parser(
-        "plan",
-        help="say how many safe trajectories a precision takes",
-        description="Say how many safe trajectories φ, and how many kamikazes for each, it takes until an interval is "
-        "narrow enough, or a difference between two cars is found. It goes by how much an earlier result varies from "
-        "φ to φ, and between kamikazes of the same φ.",
-    )
-    text = (
-        "folder of an earlier assessment; for --difference two that are about the same φ (default: what the basic "
-        "car's figures vary by)"
-    )
-    add_paths(plan, "paths", "DIR", text, nargs="*")
-    goal = plan.add_mutually_exclusive_group(required=True)
-    text = "width of the 95 %% interval, in the figure's unit: m, or a share of runs"
-    goal.add_argument("--width", type=positive_number, metavar="W", help=text)
-    text = "difference between two cars that has to be found, m"
-    goal.add_argument("--difference", type=positive_number, metavar="D", help=text)
-    text = "probability with which the difference has to be found (default: 0.8)"
-    plan.add_argument("--power", type=real_number(0.06, 0.9999), default=0.8, metavar="P", help=text)
-    add_flag(plan, "--unpaired", "the two cars are rated on different safe trajectories")
-    plan.add_argument(
-        "--figure",
-        choices=("margin", "deviation", "skd", "contact_rate"),
-        default="margin",
-        help="which figure; of contact_rate runs along φ are counted instead of kamikazes (default: margin)",
-    )
-    add_count(plan, "--kamikaze-count", 2, 1_000_000, "say only how many φ it takes with this many kamikazes for each")
-    add_flag(plan, "--json", "print JSON instead of a table")
-
-
 def _add_report(commands: Any) -> None:
     report = commands.add_parser(
         "report",
-        help="write one HTML file: figures, charts, and every episode with a player",
-        description="Write results into one HTML file: figures with their intervals, charts, maps, and every episode "
-        "with a player and the command that repeats it. The file needs no other file and no network.",
+        help="write one HTML file with a player of all episodes, or pictures and films of the worst",
+        description="Write results into one HTML file: figures, charts, maps, and every episode with a player. The "
+        "file needs no other file and no network. With --format png, gif or mp4 draw the worst episodes of one result, "
+        "and print the command that repeats each.",
     )
-    add_paths(report, "paths", "DIR", "folder of an assessment, a sweep or a campaign")
-    add_output_arguments(report, "FILE", "the HTML file to write (default: skd_results/report-<time>.html)")
-
-
-def _add_show(commands: Any) -> None:
-    show = commands.add_parser(
-        "show",
-        help="draw the worst episodes of a result, or one of them, as pictures or films",
-        description="Draw episodes of a result, the worst for the car first: as seen from above, with the distances "
-        "over time. For each it also prints the command that repeats the episode.",
-    )
-    add_paths(show, "path", "RESULT", "folder of an assessment", nargs=None)
-    which = show.add_mutually_exclusive_group()
+    add_paths(report, "paths", "DIR", "folder of an assessment, a sweep or a campaign, or one above some")
+    text = "html for the page, png for pictures, gif or mp4 (with ffmpeg) for films at half speed (default: html)"
+    report.add_argument("--format", choices=("html", "png", "gif", "mp4"), default="html", help=text)
+    which = report.add_argument_group("pictures and films").add_mutually_exclusive_group()
     add_count(which, "--worst", 1, 1000, "how many episodes to draw, the worst for the car first", default=1)
-    text = "draw the episode that has this id in episodes.npz and bags"
-    which.add_argument("--episode", type=whole_number(0), metavar="ID", help=text)
-    text = "draw so many of the risk's most likely failures: of each kind the nearest to how people walk"
-    add_count(which, "--failures", 1, 1000, text)
+    which.add_argument("--episode", type=whole_number(0), metavar="ID", help="draw the episode with this id")
+    add_count(which, "--failures", 1, 1000, "draw so many of the risk's most likely failures, of each kind in turn")
     text = "draw only kamikazes of this objective (default: all episodes)"
-    show.add_argument("--objective", metavar="NAME", help=text)
-    text = "png for pictures; gif or mp4 for films at half speed, of which mp4 needs ffmpeg (default: png)"
-    show.add_argument("--format", choices=("png", "gif", "mp4"), default="png", help=text)
-    add_output_arguments(show)
+    report.add_argument("--objective", metavar="NAME", help=text)
+    text = "the HTML file, or the folder for pictures (default: skd_results/report-<time>)"
+    add_output_arguments(report, "PATH", text)
 
 
 def _add_scenarios(commands: Any) -> None:
     scenarios = commands.add_parser(
         "scenarios",
         help="list scenarios, show one, check a file of your own",
-        description="list: the scenarios that have a name. show: what happens in some of them, with a picture each. "
-        "check: the same of files of your own, after the checks that an assessment makes. campaign: the file of a "
-        "campaign in which scenarios are run at several test speeds.",
+        description="list: scenarios that have a name. show: what happens in some, with a picture each. check: the "
+        "same of files of your own. campaign: the file of a campaign at several test speeds.",
     )
-    scenarios.add_argument("action", choices=("list", "show", "check", "campaign"), help="what to do")
+    actions = ("list", "show", "check", "campaign")
+    scenarios.add_argument("action", choices=actions, metavar="ACTION", help=f"what to do: {', '.join(actions)}")
     scenarios.add_argument("names", nargs="*", metavar="NAME", help="names or files of scenarios")
-    text = "test speeds of the car, km/h, as 10:60:10; with campaign"
+    text = "with campaign, test speeds of the car, km/h, as 10:60:10"
     scenarios.add_argument("--speeds", type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP", help=text)
-    text = (
-        "folder for the pictures (default: skd_results/scenarios-<time>; with list none are made), or with campaign "
-        "the file to write (default: standard output)"
-    )
+    text = "folder for the pictures, or with campaign the file to write (default: skd_results/scenarios-<time>)"
     add_output_arguments(scenarios, "PATH", text)
 
 
@@ -338,8 +306,8 @@ def _add_probe(commands: Any) -> None:
     probe = commands.add_parser(
         "probe",
         help="run episodes that show how a car reacts, for skd fit",
-        description="Run varied crossings that show when and how a car brakes, and keep them for skd fit: with --graph "
-        "as bags, otherwise in a file episodes.npz.",
+        description="Run varied crossings that show when and how a car brakes. They are kept for skd fit: as "
+        "episodes.npz, with --graph as bags.",
     )
     add_car_arguments(probe, "probe")
     add_count(probe, "--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
@@ -354,15 +322,11 @@ def _add_fit(commands: Any) -> None:
     fit = commands.add_parser(
         "fit",
         help="learn a model of a car from recorded episodes, or of how people walk",
-        description="Estimate by maximum likelihood how a car brakes, from recorded episodes, and write the model to "
-        "car_model.yaml, with which skd assess --car-model lets the adversary plan. With --people fit a behaviour "
-        "model to tracks, check it on people whom it has not seen, and write it to behaviour.yaml, with which skd "
-        "assess --behaviour estimates the risk.",
+        description="Estimate how a car brakes from recorded episodes, and write car_model.yaml for skd assess "
+        "--car-model. With --people fit tracks of people, check the model on people held out, and write behaviour.yaml "
+        "for skd assess --behaviour.",
     )
-    text = (
-        "a bag folder, an .mcap file, an episodes.npz, or a folder of them; with --people also CITR's vci_lat_uni, or "
-        "csv files with columns t, x, y (x along the intended path)"
-    )
+    text = "a bag folder, an .mcap file, episodes.npz, or a folder of them. With --people: CITR, or csv with t, x, y"
     add_paths(fit, "paths", "PATH", text)
     people = fit.add_argument_group("people")
     add_flag(people, "--people", "fit a behaviour model to tracks of people, not a model of a car")
@@ -376,11 +340,9 @@ def _add_fit(commands: Any) -> None:
 def _add_list(commands: Any) -> None:
     listed = commands.add_parser(
         "list",
-        help="list the assessments under a folder, or how a car has changed from one to the next",
-        description="List the assessments in and under folders, cells of campaigns and sweeps included: car, margin, "
-        "date, and the commit of the car's code. With --trend follow a figure of each car over the dates, and say "
-        "whether the car is safer or less safe than in the assessment before, judged as skd compare does; all verdicts "
-        "of a car together are right with 95 percent.",
+        help="list results under a folder, or how a car has changed from one to the next",
+        description="List the assessments in and under folders: car, margin, date, and commit of the car's code. With "
+        "--trend say of each car whether it is safer than in the assessment before, as skd compare does.",
     )
     text = f"folder of results, or one above some (default: {_DEFAULT_FOLDER})"
     add_paths(listed, "paths", "DIR", text, nargs="*", default=[_DEFAULT_FOLDER])
@@ -397,8 +359,8 @@ def _add_doctor(commands: Any) -> None:
     doctor = commands.add_parser(
         "doctor",
         help="say what is installed, what is missing, and for what",
-        description="Look at what SKD needs and at what is optional, say what to do about what is missing, and send a "
-        "message between two nodes of ROS 2. The exit code is 1 where something does not work.",
+        description="Say what is installed, what is missing and what to do about it. Send a message between two ROS 2 "
+        "nodes. The exit code is 1 where something does not work.",
     )
     add_flag(doctor, "--no-round-trip", "start no nodes: look at files alone")
     add_flag(doctor, "--json", "print JSON instead of lines")
@@ -408,15 +370,11 @@ def _add_drive(commands: Any) -> None:
     drive = commands.add_parser(
         "drive",
         help="watch a car drive, and step in front of it with the keyboard",
-        description="Watch a car drive in real time, in the terminal: as seen from above, with its speed, its commands "
-        "and their age. The adversary goes where your keys send it, or follows a safe trajectory φ. With --graph, RViz "
-        "and Foxglove can show the drive, too. Nothing is rated, and only a run that fails leaves its logs. Without a "
-        "terminal it prints one line a second and ends with the first episode.",
+        description="Watch a car drive in real time, in the terminal. The adversary goes where your keys send it, or "
+        "follows a safe trajectory φ. With --graph, RViz and Foxglove can show the drive, too. Nothing is rated. "
+        "Without a terminal it prints one line a second and ends with the first episode.",
     )
-    followed = (
-        "let the adversary follow safe trajectories φ instead of the keys: synthetic, own, walkers, regulatory, or a "
-        "path, as skd assess takes them (default: it goes by keys)"
-    )
+    followed = "follow safe trajectories φ instead of the keys; as skd assess takes them (default: it goes by keys)"
     add_car_arguments(drive, "drive", safe={"default": None, "help": followed})
     add_count(drive, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, counted from 0 (default: 0)")
     ticks = "end each episode after at most this many ticks, mostly of 0.3 s (default: as the scenario says)"

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import real_path
 
 from skd_evaluator.assessment.compare.comparison import MARGIN, Comparison, compare, ranking_figure
 from skd_evaluator.assessment.figure_table import columns
@@ -23,16 +22,22 @@ from skd_evaluator.files import tails
 from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.report.charts import alike
+from skd_evaluator.report.history import result_folders
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
-from skd_evaluator.report.terminal import car_name, print_table
+from skd_evaluator.report.terminal import print_table
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    if len(set(map(real_path, arguments.paths))) < max(2, len(arguments.paths)):
-        raise UsageError("give at least two folders of assessments, each once")
-    results = [read_result(path) for path in arguments.paths]
+    if arguments.width is not None or arguments.difference is not None:
+        from skd_evaluator.cli import plan
+
+        return plan.run(arguments)
+    folders = result_folders(arguments.paths)
+    if len(folders) < 2:
+        raise UsageError("give folders with at least two assessments")
+    results = [read_result(path) for path in folders]
     with understood(Path("one of the results")):
         return _run(arguments, results)
 
@@ -125,7 +130,7 @@ def _curves(result: StoredResult, *, margins: bool) -> dict[str, Any]:
 
 def labels(results: Sequence[StoredResult]) -> list[str]:
     """Return a name for each result: that of its car, with its folder where several have the same."""
-    cars = [car_name(result.figures) for result in results]
+    cars = [str(result.figures["car"]) for result in results]
     often = Counter(cars)
     return [
         car if often[car] == 1 else f"{car} ({tail})"

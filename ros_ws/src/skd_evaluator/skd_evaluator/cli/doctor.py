@@ -26,7 +26,7 @@ FINE, ABSENT, BROKEN = "fine", "absent", "broken"
 _DISTRIBUTIONS = {"yaml": "pyyaml", "vl_convert": "vl-convert-python"}
 _TOOLS = {
     "git": "the commit of a car's code in results",
-    "ffmpeg": "films as mp4 (skd show --format mp4)",
+    "ffmpeg": "films as mp4 (skd report --format mp4)",
 }
 _EXTRAS = {
     "dask": ("dask", "runs on a cluster (--scheduler)"),

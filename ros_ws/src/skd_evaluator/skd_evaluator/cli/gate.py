@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, real_path
 
+from skd_evaluator.cli.arguments import rare
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 
@@ -46,25 +47,14 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
             action="append",
             default=[],
             metavar="FIGURE=NUMBER",
-            help=f"the exit code is 1 if this figure of assessment.json is {side} this number: for example {example} "
-            "or objectives.paper.skd=3. The option can be given several times",
+            help=f"exit with 1 if this figure of assessment.json is {side} the number, as {example}. Can be repeated",
         )
-    group.add_argument(
-        "--fail-if-worse-than",
-        type=Path,
-        metavar="DIR",
-        help="the exit code is 1 if the car is less safe than in this earlier result, judged as skd compare does: by "
-        "the 95 %% interval of the difference of the margins",
-    )
-    for name, text in (
-        (
-            "junit",
-            "write what became of these conditions to this file, as JUnit XML: a failure means that the car did not "
-            "meet one, an error that nothing can be said of the car",
-        ),
-        ("markdown", "write the figures and what became of these conditions to this file, as a Markdown page"),
-    ):
-        group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
+    text = "exit with 1 if the car is less safe than in this earlier result, judged as skd compare does"
+    group.add_argument("--fail-if-worse-than", type=Path, metavar="DIR", help=text)
+    text = "write these conditions as JUnit XML. An error means that nothing can be said of the car"
+    group.add_argument("--junit", type=Path, metavar="FILE", help=text)
+    text = rare("write the figures and these conditions as a Markdown page")
+    group.add_argument("--markdown", type=Path, metavar="FILE", help=text)
 
 
 @dataclass(frozen=True)

@@ -67,11 +67,15 @@ def _is_requested(one: Run, arguments: argparse.Namespace) -> bool:
 
 
 def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence[Run]) -> int:
-    for one in unread:
-        raise UsageError(f"{one.folder}: {one.remark}")
-    if len(found) < 2:
-        raise UsageError("a trend is of at least two assessments of a car")
-    read = {one.folder: read_result(one.folder) for one in found}  # each is checked against its episodes
+    lines = [f"left out: {one.folder}: {one.remark}" for one in unread]
+    read = {}
+    for one in found:
+        try:
+            read[one.folder] = read_result(one.folder)  # it is checked against its episodes
+        except UsageError as error:
+            lines.append(f"left out: {error}")
+    if len(read) < 2:
+        raise UsageError("; ".join(["a trend is of at least two assessments of a car", *lines[:1]]))
     runs = [Run(folder, result.figures) for folder, result in read.items()]
 
     def compared(first: Run, second: Run, confidence: float) -> Comparison:
@@ -83,7 +87,7 @@ def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence
     else:
         for trend in trends:
             print_table(trend_table(trend))
-    lines = [remark for result in read.values() for remark in result.remarks]
+    lines += [remark for result in read.values() for remark in result.remarks]
     for step in (step for trend in trends for step in trend.steps):
         lines += step.comparison.lines() if step.comparison is not None else []
     for line in dict.fromkeys(lines):

@@ -15,11 +15,11 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.start import import_lasting
 
-from skd_evaluator.cli.commands import EXIT_USAGE, make_parser, parse
+from skd_evaluator.cli.arguments import EXIT_USAGE
+from skd_evaluator.cli.commands import make_parser, parse
 from skd_evaluator.cli.output import give_up, keep_for_json
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import begin_command, what_is_in_place
-from skd_evaluator.verbosity import be_verbose, is_verbose
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 _OF_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
@@ -38,13 +38,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
-    name = "skd"
+    name, verbose = "skd", False
     try:
         arguments = _parsed(words)
         name = f"skd {arguments.command}"
         arguments.command_line = ["skd", *words]
         begin_command()
-        be_verbose(getattr(arguments, "verbose", False))
+        verbose = getattr(arguments, "verbose", False)
         if getattr(arguments, "graph", arguments.command == "episode"):
             from skd_sim import ros_environment
 
@@ -61,14 +61,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = int(command.run(arguments))
         sys.stdout.flush()
         return code
-    except UsageError as error:
-        _say_where()
+    except (UsageError, AssessmentError) as error:
+        if verbose:
+            import traceback  # only now: every command begins with this module
+
+            traceback.print_exc()
         print(f"{name}: error: {one_line(str(error))}", file=sys.stderr)
-        return EXIT_USAGE
-    except AssessmentError as error:
-        _say_where()
-        print(f"{name}: error: {one_line(str(error))}", file=sys.stderr)
-        return EXIT_FAILED
+        return EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED
     except KeyboardInterrupt:
         print(f"{name}: interrupted; {one_line(what_is_in_place())}", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -106,11 +105,3 @@ def _is_somewhere() -> bool:
         return bool(Path.cwd())
     except FileNotFoundError:
         return False
-
-
-def _say_where() -> None:
-    """With --verbose, print where in SKD an error comes from."""
-    if is_verbose():
-        import traceback  # only now: every command begins with this module
-
-        traceback.print_exc()

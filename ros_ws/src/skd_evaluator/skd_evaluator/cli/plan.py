@@ -1,4 +1,4 @@
-"""`skd plan`: how many φ, and how many kamikazes for each, a wanted certainty takes."""
+"""`skd compare`: how many φ, and how many kamikazes for each, a wanted certainty takes."""
 
 from __future__ import annotations
 
@@ -81,10 +81,10 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         print_table(_table(sizes, cheapest))
         print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
     for line in (line for one in results for line in one.remarks):
-        print(f"skd plan: warning: {line}", file=sys.stderr)
+        print(f"skd compare: warning: {line}", file=sys.stderr)
     if source.phi is not None and source.phi < _FEW:
         print(
-            f"skd plan: warning: a variance between {source.phi} φ is itself uncertain: take more than it says, or "
+            f"skd compare: warning: a variance between {source.phi} φ is itself uncertain: take more than it says, or "
             "--until-width, which does not rely on it",
             file=sys.stderr,
         )

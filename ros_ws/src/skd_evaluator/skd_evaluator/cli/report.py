@@ -20,6 +20,10 @@ from skd_evaluator.report.terminal import counted
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    if arguments.format != "html":
+        from skd_evaluator.cli import show
+
+        return show.run(arguments)
     out = _target(output_path(arguments), overwrite=arguments.overwrite)
     subjects = read_subjects(arguments.paths)
     with understood(arguments.paths[0] if len(subjects) == 1 else Path("a result")):

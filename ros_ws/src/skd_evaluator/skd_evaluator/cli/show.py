@@ -1,4 +1,4 @@
-"""`skd show`: episodes of a result as pictures or films."""
+"""`skd report --format png`: episodes of a result as pictures or films."""
 
 from __future__ import annotations
 
@@ -29,12 +29,14 @@ from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossin
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     check_format(arguments.format)
-    subjects = read_subjects([arguments.path])
+    subjects = read_subjects(arguments.paths)
+    path = arguments.path = arguments.paths[0]
     if len(subjects) > 1:
         raise UsageError(
-            f"{arguments.path}: holds {len(subjects)} assessments; give the folder of one, as {subjects[0].folder}"
+            f"{path}: holds {len(subjects)} assessments, and --format {arguments.format} draws one: give "
+            f"{subjects[0].folder}"
         )
-    with understood(arguments.path):
+    with understood(path):
         return _show(subjects[0], arguments)
 
 
@@ -68,7 +70,7 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
 
     out.write(write)
     for line in subject.warnings:
-        print(f"skd show: warning: {line}", file=sys.stderr)
+        print(f"skd report: warning: {line}", file=sys.stderr)
     if arguments.json:
         print_json(content)
         return 0
@@ -99,7 +101,9 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
             and arguments.objective in (None, str(episodes.objective[number]))
         ]
         if not found:
-            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode")
+            raise UsageError(
+                f"--episode {arguments.episode}: {arguments.path} holds no such episode; the report has the id of each"
+            )
         return found
     if not order:
         raise UsageError(f"{arguments.path}: holds no episode of that kind: every one was aborted, or none was run")

@@ -47,7 +47,7 @@ from skd_evaluator.metrics.equivalent_multiplier import (
     equivalent_multiplier,
 )
 
-LABEL = "basic cars"
+LABEL = "margin of basic cars"
 LOWEST: Final = 25
 HIGHEST: Final = 200
 """Of C, in hundredths."""

@@ -23,7 +23,7 @@ from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.formats import TERMINAL
-from skd_evaluator.report.terminal import bounded_cell, car_name, narrow_table
+from skd_evaluator.report.terminal import bounded_cell, narrow_table
 
 SHORT = 7  # digits of a commit
 _LARGE = ("vulnerability_curve", "objectives", "risk", "surrogate_measures", "clustering", "measures")
@@ -53,7 +53,7 @@ class Run:
     @property
     def car(self) -> str:
         """Name of the car."""
-        return car_name(self.figures)
+        return str(self.figures["car"])
 
     @property
     def scenario(self) -> str:
@@ -108,11 +108,29 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
     found: dict[Path, Run] = {}
     for folder in folders:
         if not folder.is_dir():
-            raise UsageError(f"{folder}: is no folder")
+            raise UsageError(f"{folder}: there is no such folder")
         unread: list[Run] = []
         for place in _places(folder, unread):
             found.setdefault(real_path(place), read_run(place))
         found.update((one.folder, one) for one in unread)
+    return list(found.values())
+
+
+def result_folders(paths: Sequence[Path]) -> list[Path]:
+    """Return the folders of the assessments in or under some, each once.
+
+    Raises:
+        UsageError: one is not there, or holds none.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        if not path.is_dir():
+            raise UsageError(f"{path}: there is no such folder")
+        places = list(_places(path, []))
+        if not places:
+            raise UsageError(f"{path}: holds no {ASSESSMENT}, nor does a folder in it")
+        for place in places:
+            found.setdefault(real_path(place), place)
     return list(found.values())
 
 

@@ -24,7 +24,7 @@ from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResu
 from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.drawing import PAGE, TYPE, car_outline, draw_car, draw_fronts, draw_road, save_picture
-from skd_evaluator.report.terminal import car_name, counted
+from skd_evaluator.report.terminal import counted
 
 mpl.use("Agg")
 
@@ -94,7 +94,7 @@ def _panel_figure(rating: Assessment, assessment: ObjectiveResult, number: int) 
 def _heading(rating: Assessment, assessment: ObjectiveResult) -> str:
     """Return which car this is, and what was found over all φ."""
     plan = assessment.plan
-    car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
+    car = plan.car.label
     margin = None if rating.margins is None else rating.margins.mean
     figures = _figures(rating, assessment, assessment.deviation.mean, assessment.skd.distances.mean, margin)
     explained = figures.replace("planned ", "planned deviation ", 1)

@@ -23,7 +23,6 @@ from skd_evaluator.metrics import aborted
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.report.formats import contact_warnings, margin_warnings
-from skd_evaluator.report.terminal import car_name
 
 
 def undefined(rating: Assessment) -> str | None:
@@ -54,7 +53,8 @@ def figure_warnings(rating: Assessment, *, planned: bool = True) -> list[str]:
         rating: the rating with its figures.
         planned: whether optimality gap is among the warnings; a table that has it as a column needs none.
     """
-    found = []
+    nothing = undefined(rating) if rating.margins is not None else None
+    found = [nothing] if nothing else []
     for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
         if hit_too_often(hits, runs):
             found.append(
@@ -135,13 +135,16 @@ def too_many_aborted(rating: Assessment, maximum: float, figures: Mapping[str, A
 def why_failed(rating: Assessment, maximum_aborted: float, figures: Mapping[str, Any] | None = None) -> list[str]:
     """Return why an assessment counts as failed, a line each; empty if it does not.
 
+    That SKD is not defined is no reason where the margin is known.
+
     Args:
         rating: the rating of all episodes, aborted ones counted.
         maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
         figures: see `too_many_aborted`.
     """
     too_many = too_many_aborted(rating, maximum_aborted, figures)
-    return [why for why in (undefined(rating), too_many, *not_credible(rating.warnings)) if why]
+    nothing = undefined(rating) if rating.margins is None else None
+    return [why for why in (nothing, too_many, *not_credible(rating.warnings)) if why]
 
 
 def with_failures(rating: Assessment, maximum_aborted: float) -> Assessment:
@@ -201,7 +204,7 @@ def fill(folder: Path, rating: Assessment, *, may_fork: bool = False) -> None:
             from skd_evaluator.report.charts import ChartedCar, save_vulnerability
 
             figures = rating.as_dict()
-            car = ChartedCar(car_name(figures), figures, curves=figures["vulnerability_curve"])
+            car = ChartedCar(str(figures["car"]), figures, curves=figures["vulnerability_curve"])
             save_vulnerability(folder / "vulnerability.png", [car])
         if not drawn():
             draw()

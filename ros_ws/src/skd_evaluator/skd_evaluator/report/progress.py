@@ -1,4 +1,4 @@
-"""How far a campaign is: a bar on a terminal, a line now and then where there is none."""
+"""How far a command is, on standard error: one line that changes on a terminal, elsewhere a line for each step."""
 
 from __future__ import annotations
 
@@ -6,173 +6,114 @@ import datetime
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.text import Text
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from skd_sim.kernels.compilation import on_compiling
 
 from skd_evaluator.assessment.context import Progress as CampaignProgress
-from skd_evaluator.verbosity import is_verbose, say
 
-LINE_EVERY = 30.0
-"""s between two lines where there is no terminal."""
-FIRST_LINE = 5.0
-"""s until the first of them."""
-PREPARING = "preparing; a first run compiles code for a minute or two, and keeps it"
+LINE_EVERY = 60.0
+"""s between two lines of a step where there is no terminal."""
+SILENT = 5.0
+"""s before the first line: what is done by then needs none."""
+COMPILING = "compiling, which a first run does once: a minute or two"
 
 
 @contextmanager
-def progress_bar(*, quiet: bool = False) -> Iterator[CampaignProgress]:
-    """Yield a callback that shows on standard error how far it is, with the rate and the time left, unless `quiet`.
+def progress_bar(*, quiet: bool = False, steps: Sequence[str] = ()) -> Iterator[CampaignProgress]:
+    """Yield a callback that shows how far the work is, unless `quiet`. Several threads may call it at once.
 
-    On a terminal it draws a bar, elsewhere it says a line every 30 s. Several threads may call it at once.
+    Args:
+        quiet: show nothing.
+        steps: how the labels of each step of the work begin, in order.
     """
     if quiet:
         yield lambda _label, _done, _total: None
-    elif sys.stderr.isatty() and not is_verbose():
-        with _bar() as update:
-            yield update
-    else:
-        stages = _say_stages() if is_verbose() else None
-        lines = ProgressLines(lambda line: print(f"skd: {line}", file=sys.stderr, flush=True))
-
-        def update(label: str, done: int, total: int) -> None:
-            lines.update(label, done, total)
-            if stages is not None:
-                stages(label, done, total)
-
-        over = threading.Event()
-
-        def speak() -> None:
-            wait = min(FIRST_LINE, LINE_EVERY)
-            while not over.wait(wait):
-                lines.say()
-                wait = LINE_EVERY
-
-        threading.Thread(target=speak, name="skd-progress", daemon=True).start()
+        return
+    numbered = _Numbered(steps)
+    with _on_terminal(numbered) if sys.stderr.isatty() else _in_lines(numbered) as (update, say):
+        on_compiling.append(lambda: say(COMPILING))
         try:
             yield update
         finally:
-            over.set()
+            on_compiling.clear()
 
 
-class _Rate(ProgressColumn):
-    """How many are done in a second."""
+class _Numbered:
+    """Puts the number of its step before a label."""
 
-    def render(self, task: Task) -> Text:
-        speed = task.finished_speed or task.speed
-        return Text("" if speed is None else f"{_rate(speed)}/s", justify="right")
+    def __init__(self, steps: Sequence[str]) -> None:
+        self._steps = steps
+
+    def __call__(self, label: str) -> str:
+        found = [number for number, step in enumerate(self._steps, start=1) if label.startswith(step)]
+        return f"step {found[0]} of {len(self._steps)}: {label}" if found else label
+
+
+_Shown = tuple[CampaignProgress, Callable[[str], None]]
 
 
 @contextmanager
-def _bar() -> Iterator[CampaignProgress]:
+def _on_terminal(numbered: _Numbered) -> Iterator[_Shown]:
     columns = (
-        TextColumn("{task.description:<22}"), BarColumn(bar_width=16), MofNCompleteColumn(), _Rate(),
-        TimeElapsedColumn(), TimeRemainingColumn(compact=True), TextColumn("left"),
+        TextColumn("{task.description}"), BarColumn(bar_width=16), MofNCompleteColumn(), TimeElapsedColumn(),
+        TimeRemainingColumn(compact=True), TextColumn("left"),
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        tasks: dict[str, Any] = {}
-        lock = threading.Lock()
-        preparing = progress.add_task("preparing", total=None)
+        task = progress.add_task("starting", total=None)
+        lock, shown = threading.Lock(), ""
 
         def update(label: str, done: int, total: int) -> None:
+            nonlocal shown
             with lock:
-                progress.update(preparing, visible=False)
-                if label not in tasks:
-                    tasks[label] = progress.add_task(label, total=total)
-                progress.update(tasks[label], completed=done, total=total)
+                if label != shown:
+                    shown = label
+                    progress.reset(task, description=numbered(label), total=total)
+                progress.update(task, completed=done, total=total)
 
-        yield update
+        yield update, lambda line: progress.update(task, description=line, total=None)
 
 
-class _Stage(NamedTuple):
-    begin: float
-    before: int  # done when it began
-    done: int
-    total: int
+@contextmanager
+def _in_lines(numbered: _Numbered) -> Iterator[_Shown]:
+    def write(line: str) -> None:
+        print(f"skd: {line}", file=sys.stderr, flush=True)
+
+    lines = ProgressLines(lambda label, rest: write(f"{numbered(label)}{rest}"))
+    yield lines.update, write
 
 
 class ProgressLines:
-    """Says of each stage that is under way how many are done of how many, how fast, and how long it will still take."""
+    """Writes a line when a step begins, and after each minute that it takes."""
 
-    def __init__(self, write: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, write: Callable[[str, str], None], clock: Callable[[], float] = time.monotonic) -> None:
         """Begin.
 
         Args:
-            write: called with each line.
+            write: called with the label of a step, and what is said of it.
             clock: returns the time, s.
         """
-        self._write, self._clock = write, clock
-        self._stages: dict[str, _Stage] = {}
-        self._lock = threading.Lock()
-        self._begun = False  # whether anything is done, or was said
-        self._last = clock()  # when something was done, before which no stage has begun
+        self._write, self._clock, self._lock = write, clock, threading.Lock()
+        self._silent_until = clock() + SILENT
+        self._begun: dict[str, tuple[float, int]] = {}  # of each step: when, and what was done by then
+        self._written: dict[str, float] = {}  # when something was written of it
 
     def update(self, label: str, done: int, total: int) -> None:
-        """Learn how far a stage is."""
+        """Learn how far a step is, of which `done` of `total` parts are done."""
         with self._lock:
             now = self._clock()
-            self._begun = True
-            known = self._stages.get(label) or _Stage(self._last, max(0, done - 1), done, total)
-            self._stages[label] = known._replace(done=done, total=total)
-            self._last = now
-
-    def say(self) -> None:
-        """Write a line for each stage that has not come to its end; before the first, once, that work is prepared."""
-        with self._lock:
-            now = self._clock()
-            going = {label: stage for label, stage in self._stages.items() if stage.done < stage.total}
-            begun, self._begun = self._begun, True
-        if not begun:
-            self._write(PREPARING)
-        for label, stage in going.items():
-            self._write(progress_line(label, stage.done, stage.total, stage.done - stage.before, now - stage.begin))
-
-
-def progress_line(label: str, done: int, total: int, recent: int, seconds: float) -> str:
-    """Return in one line how far a stage is.
-
-    Args:
-        label: name of the stage.
-        done: number of parts of the stage that are done.
-        total: number of all parts of the stage.
-        recent: how many of the parts that are done took the time `seconds`.
-        seconds: time that the recent parts took, s.
-    """
-    line = f"{label}: {done} of {total}"
-    if recent <= 0 or seconds <= 0.0:
-        return line
-    rate = recent / seconds
-    left = datetime.timedelta(seconds=round((total - done) / rate))
-    return f"{line}, {_rate(rate)}/s, {left} left"
-
-
-def _rate(value: float) -> str:
-    """Return a rate with three digits that count."""
-    return f"{value:.0f}" if value >= 99.95 else f"{value:.3g}"
-
-
-def _say_stages() -> CampaignProgress:
-    """Return a callback that says each stage when it is done, and how long it took."""
-    begin = time.perf_counter()
-
-    def update(label: str, done: int, total: int) -> None:
-        nonlocal begin
-        if done == total:
-            now = time.perf_counter()
-            say(f"{label}: {total} after {now - begin:.1f} s")
-            begin = now
-
-    return update
+            step, _, budget = label.partition(",")  # a search says its budget behind the comma
+            begin, before = self._begun.setdefault(step, (now, done))
+            if now < self._silent_until:
+                return
+            if step not in self._written:
+                self._write(step, f" ({total})" if not budget and total > 1 else "")
+            elif now - self._written[step] >= LINE_EVERY and done < total:
+                left = (total - done) * (now - begin) / max(done - before, 1)
+                self._write(label, f", {done} of {total}, {datetime.timedelta(seconds=round(left))} left")
+            else:
+                return
+            self._written[step] = now

@@ -106,8 +106,6 @@ def _words(one: Option, value: Any) -> list[str]:
     if value is None or value == one.default:
         return []
     text = repr(value) if one.kind is float else str(value)
-    if one.seldom:
-        return ["-p", f"{one.name}:={text.lower() if one.kind is bool else text}"]
     return [one.flag, *([] if one.kind is bool else [text])]
 
 

@@ -61,18 +61,15 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         ranked_by: figure by which cars are in order, the most vulnerable one first; None: in the order given.
     """
     order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
-    heads = ["car", "margin\n(m)", "95 %\nby φ", escape("[margin,\nplanned]"), "knowl-\nedge", "equivalent\nmultiplier"]
-    heads += ["nominal\ncollisions", "SKD\n(m)"]
+    heads = ("car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "equivalent\nmultiplier")
     cells = [
         [
             f"{escape(row['car'])}{_doubt(row)}",
             bounded_cell(row, _number(row["margin"])),
             _interval(row["margin_ci95"], 2),
-            escape(f"[{_number(row['margin'], 2)}, {_number(row['deviation'], 2)}]"),
-            str(row["knowledge"]),
-            bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
             TERMINAL.share(row["nominal_collision_rate"]),
-            _number(row["skd"]),
+            TERMINAL.probability(row["risk_1"]),
+            bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
         ]
         for row in (sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows)
     ]
@@ -94,8 +91,20 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
             figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _interval(found["interval"])]
             figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
-        cells.append([escape(entry["car"]), f"[bold]{entry['verdict']}[/]", *figures, entry["design"]])
+        verdict = f"[bold]{entry['verdict']}[/]{_disagreement(entry['differences'])}"
+        cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
     return narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %", heads, cells)
+
+
+def _disagreement(differences: Mapping[str, Any]) -> str:
+    """Return in words that margin and risk say the opposite of each other, both for sure."""
+    signs = {}
+    for key, found in differences.items():
+        if (key == "margin" or key.startswith("risk_")) and (ends := found["interval"]) is not None:
+            sign = (ends[0] > 0.0) - (ends[1] < 0.0)
+            signs[key] = sign if key == "margin" else -sign
+    opposed = signs.pop("margin", 0) * -1
+    return ": margin and risk disagree" if opposed and opposed in signs.values() else ""
 
 
 _TELLING = ("margin", "deviation", "skd", "nominal_collision_rate")

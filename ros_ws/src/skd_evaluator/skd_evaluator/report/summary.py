@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from skd_evaluator.assessment.compare.gate import Check
 from skd_evaluator.assessment.figure_table import shown_in
 from skd_evaluator.report.formats import BARE, margin_warnings, ninety
-from skd_evaluator.report.terminal import car_name, headline
+from skd_evaluator.report.terminal import headline
 
 _MARKS = {"passed": "✅", "failed": "❌", "error": "⚠️"}
 
@@ -27,7 +27,7 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     """
     verdict = "passed" if all(one.passed for one in checks) else "failed" if any(c.failed for c in checks) else "error"
     said = {"passed": "passed", "failed": "the car failed", "error": "no statement about the car"}[verdict]
-    lines = [f"## {_MARKS[verdict]} SKD: {_cell(car_name(result))}: {said}", ""]
+    lines = [f"## {_MARKS[verdict]} SKD: {_cell(str(result['car']))}: {said}", ""]
     lines += [_cell(headline(result)), ""]
     lines += ["| | value | 95 % by φ | 95 %, as independent |", "|---|---|---|---|"]
     for figure in shown_in("summary"):
@@ -70,7 +70,7 @@ def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car:
         checks: result of each condition.
         car: name of the car if there is no assessment to take it from.
     """
-    name = _plain(car_name(result) if result is not None else car)
+    name = _plain(str(result["car"]) if result is not None else car)
     seconds = f"{result['seconds']:.3f}" if result is not None else "0"
     counts = {"failures": sum(one.failed for one in checks), "errors": sum(one.error for one in checks)}
     totals = {"tests": str(len(checks)), **{key: str(count) for key, count in counts.items()}, "time": seconds}

@@ -6,7 +6,6 @@ import io
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from rich import box
@@ -15,12 +14,11 @@ from rich.markup import escape
 from rich.table import Table
 from skd_sim.inputs.files import one_line
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
-from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.options.car_under_test import EXTERNAL
 
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, shown_in
+from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.report.formats import (
     NO_RATING,
     NOTHING,
@@ -37,7 +35,8 @@ from skd_evaluator.report.rows import figure_rows
 
 def counted(number: int, thing: str) -> str:
     """Return a number with its noun, which takes an s for all but one."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+    several = f"{thing[:-1]}ies" if thing.endswith("ory") else f"{thing}s"
+    return f"{number} {thing if number == 1 else several}"
 
 
 _EXACT = 5e-4  # m, of which nothing is seen in three digits
@@ -46,12 +45,6 @@ _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 _number, _interval, _percent = TERMINAL.number, TERMINAL.interval, TERMINAL.share
 _BOLD = ("margin", "equivalent_multiplier", "nominal_collision_rate", "skd")
-
-
-def car_name(result: Mapping[str, Any]) -> str:
-    """Return how a result's car is called in headings."""
-    car = CarUnderTest(str(result["controller"]))
-    return replace(car, multiplier=float(result["multiplier"])).label if car.has_multiplier else car.label
 
 
 def bounded_cell(result: Mapping[str, Any], text: str) -> str:
@@ -65,74 +58,66 @@ def credibility(warnings: Iterable[object]) -> str:
     return "not credible" if not_credible(warnings) else ""
 
 
-def headline(result: Mapping[str, Any]) -> str:
-    """Return what was found, in a sentence or two; first that it is not credible, if so."""
+def headline(result: Mapping[str, Any], *, named: bool = True) -> str:
+    """Return what was found, in one line; first that it is not credible, if so; with the name of the car if `named`."""
     said = credibility(result.get("warnings") or ())
-    return f"{said.capitalize()} (the warnings say why): {_found(result)}" if said else _found(result)
+    found = _found(result, f"{result['car']}; " if named else "")
+    return f"{said.capitalize()} (the warnings say why): {found}" if said else found
+
+
+def _found(result: Mapping[str, Any], car: str) -> str:
+    most = f"{result['eta_max']:g} m"
+    if result["margin"] is None:
+        return f"Safety margin not known: {car}{result['margin_note']}."
+    trials, beyond = result["margin_trials"], result["margin_beyond"]
+    if beyond == trials:
+        found = f"No hit found within {most} in {trials} of {trials} trials: {car}{_trajectories(result)}."
+        if rate := result.get("nominal_collision_rate"):
+            found += f" But {_percent(rate)} of the runs along nominal trajectories collide."
+        return found
+    bound = "" if result["margin_converged"] else "at most "
+    interval = result["margin_ci95"]
+    around = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
+    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{trials} trials, {_trajectories(result)}."
+    if beyond:
+        found += f" No hit found in {beyond} of {trials}: each counts as {most}."
+    if bound:
+        found += " The search has not converged: give a larger --margin-limit."
+    return found
 
 
 def _trajectories(result: Mapping[str, Any]) -> str:
     """Return how many nominal trajectories there are, and how many of them are distinct if not all are."""
     count, distinct = len(result["per_safe_trajectory"]), result["distinct_safe_trajectories"]
-    return f"{count} trajectories" if distinct == count else f"{count} trajectories, {distinct} of them distinct"
+    return f"{counted(count, 'trajectory')}" + ("" if distinct == count else f" ({distinct} distinct)")
 
 
-def _found(result: Mapping[str, Any]) -> str:
-    car, eta_max = car_name(result), f"{result['eta_max']:g} m"
-    if result["margin"] is None:
-        return f"{car}: the margin is not known ({result['margin_note']})."
-    trials, beyond = result["margin_trials"], result["margin_beyond"]
-    how_many = f"{trials} trials, {_trajectories(result)}"
-    if beyond == trials:
-        found = f"{car}: no hit found within {eta_max} ({how_many})."
-        if result.get("nominal_collision_rate"):
-            found += (
-                f" But {_percent(result['nominal_collision_rate'])} of the runs along nominal trajectories collide."
-            )
-        return found
-    at_most = "" if result["margin_converged"] else "at most "
-    interval = result["margin_ci95"]
-    around = f"95 % CI {interval[0]:.2f}–{interval[1]:.2f}; " if interval else ""
-    found = f"{car}: safety margin {at_most}{result['margin']:.2f} m ({around}{how_many})."
-    if beyond:
-        found += f" No hit found in {beyond} of {trials} trials: each counts as {eta_max}."
-    if at_most:
-        found += " The search has not converged: give a larger --margin-limit."
-    return found
+_HEADLINE = ("margin", "nominal_collision_rate", "impact_speed", "risk_1", "price_of_caution")
 
 
 def headline_table(result: Mapping[str, Any]) -> Table:
-    """Return the few rows that are printed first, from the content of assessment.json."""
-    table = Table(title=f"Assessment: {escape(car_name(result))}", title_justify="left")
-    table.add_column("")
-    table.add_column("value", justify="right")
-    table.add_column("95 % interval, by φ", justify="right")
-    for figure in shown_in("summary"):
-        value, by_phi = TERMINAL.value(figure, result), ninety(figure, result) or TERMINAL.by_phi(figure, result)
-        if not figure.first or (value == TERMINAL.nothing and figure.key not in ("nominal_collision_rate", "skd")):
+    """Return the few rows that are printed first, from the content of assessment.json: those that are known."""
+    table = narrow_table("", ("", "", "95 % interval"))
+    for key in _HEADLINE:
+        figure = AT_THE_TOP.get(key)
+        if figure is None or (value := TERMINAL.value(figure, result)) == TERMINAL.nothing:
             continue
-        label = figure.title + _beside(figure.key, result)
-        if figure.key == "skd" and result["skd"] is None:
-            value, by_phi = "none kept" if result["discarded_by_distance"] else "no kamikaze found", ""
-        elif figure.key in _BOLD:
-            label, value = label.replace(figure.label, f"[bold]{figure.label}[/]", 1), f"[bold]{value}[/]"
-        elif figure.key == "optimality_gap":
-            label = f"  {label}"
-            value = f"[red]{value}[/]" if result["optimality_gap"] > GAP_WARNING else value
-        table.add_row(label, value, escape(by_phi))
-    age = result.get("command_age")
-    if age and car_name(result) == EXTERNAL:
-        worst = f"99 %: {1e3 * age['p99']:.1f}, worst: {1e3 * age['worst']:.1f}"
-        table.add_row("age of the commands (ms), median", f"{1e3 * age['median']:.1f}", worst)
-        if age["held"]:
-            missed = f"{age['held']} of {age['control_periods']}"
-            table.add_row(
-                "control periods without a new command", _percent(age["held"] / age["control_periods"]), missed
-            )
-    aborted = sum(reasons["count"] for reasons in result["aborted_reasons"].values())
-    if aborted:
-        table.add_row("[red]aborted episodes[/]", str(aborted), "--details says why")
+        unit = "" if figure.kind.unit in ("", "%") else f" {figure.kind.unit}"
+        interval = TERMINAL.by_phi(figure, result)
+        if interval == TERMINAL.nothing:
+            interval = ninety(figure, result)
+        table.add_row(f"{figure.label}{_beside(key, result)}  ", f"[bold]{value}{unit}[/]  ", escape(interval))
     return table
+
+
+def command_ages(result: Mapping[str, Any]) -> str | None:
+    """Return in one line how old the commands of a stack were; None of other cars."""
+    age = result.get("command_age")
+    if not age or result["controller"] != EXTERNAL:
+        return None
+    line = f"Age of the commands: median {1e3 * age['median']:.1f} ms, 99 % below {1e3 * age['p99']:.1f} ms"
+    held = f"; {age['held']} of {age['control_periods']} control periods had no new one" if age["held"] else ""
+    return f"{line}{held}."
 
 
 def _beside(key: str, result: Mapping[str, Any]) -> str:
@@ -140,12 +125,8 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
     if key == "margin":
         return f", {_how_sure(result) if result['margin_converged'] else '[red]not converged[/]'}"
     if key == "nominal_collision_rate":
-        return f" ({counted(result['collision_runs'], 'run')})"
-    if AT_THE_TOP[key].planned and result.get("knowledge"):
-        return f", knowledge: {result['knowledge']}"
-    if key == "skd" and result["skd"] is not None:
-        return f", {_percent(result['kamikaze_success_rate'])} of trials collide"
-    return ""
+        return f", {counted(result['collision_runs'], 'run')}"
+    return ", people as they walk" if key == "risk_1" else ""
 
 
 def _how_sure(result: Mapping[str, Any]) -> str:

@@ -5,9 +5,10 @@ Whatever goes wrong in one is an AssessmentError whose one line names the contro
 
 from __future__ import annotations
 
+import inspect
 import math
+import os
 import pickle
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -28,19 +29,61 @@ from skd_sim.inputs.files import did_you_mean
 from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
-from skd_sim.options.registry import load, reason_of
+from skd_sim.options.registry import load, place_of, reason_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.sensors import Scan
-from skd_sim.world.state import AdversaryState, CarState, Scene
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Scene
 
 _Result = TypeVar("_Result")
 
 
-def failed(whose: str, method: str, error: BaseException) -> AssessmentError:
-    """Return in one line what a user's code raised, and where; called while it is handled."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    where = f"{Path(frame.filename).name}, line {frame.lineno}"
-    return AssessmentError(f"{whose}: {method} failed with {reason_of(error)} ({where})")
+def failed(whose: str, method: str, error: BaseException, code: object = None) -> AssessmentError:
+    """Return in one line what a user's code raised, and where in it.
+
+    Args:
+        whose: the user's code, as messages name it.
+        method: which method of it was called.
+        error: what it raised.
+        code: the object whose method it is, if there is one.
+    """
+    folder = "" if code is None else str(Path(_file_of(type(code))).parent)
+    has = ""
+    if isinstance(error, AttributeError) and isinstance(state := error.obj, (CarState, RoadUserState, Scene)):
+        has = f"; it has {', '.join(state._fields)}"
+    return AssessmentError(f"{whose}: {method} failed with {reason_of(error)}{has}{place_of(error, folder)}")
+
+
+def _file_of(code: Any) -> str:
+    try:
+        return inspect.getfile(code)
+    except (OSError, TypeError):
+        return ""
+
+
+def _check_methods(made: object, what: str) -> None:
+    """Refuse an object that has not the methods of a controller, or whose methods take something else.
+
+    Raises:
+        UsageError: it is so; says where the method is.
+    """
+    needed = {"reset": ("scenario", "rng"), "command": ("car", "adversary")}
+    missing = [
+        f"{name}({', '.join(takes)})" for name, takes in needed.items() if not callable(getattr(made, name, None))
+    ]
+    if missing:
+        raise UsageError(f"{what} needs the method{'s' * (len(missing) > 1)} {' and '.join(missing)}")
+    for name, takes in needed.items():
+        method = getattr(made, name)
+        try:
+            signature = inspect.signature(method)
+        except (TypeError, ValueError):  # of what is written in C
+            continue
+        try:
+            signature.bind(*takes)
+        except TypeError:
+            code = getattr(inspect.unwrap(method), "__code__", None)
+            where = f" ({os.path.relpath(code.co_filename)}, line {code.co_firstlineno})" if code else ""
+            raise UsageError(f"{what}: {name} must take ({', '.join(takes)}), and takes {signature}{where}") from None
 
 
 def _number(answer: Any) -> float:
@@ -123,7 +166,7 @@ class UserController:
         except Interrupted:  # this process is to end
             raise
         except BaseException as error:  # a user's code may raise anything
-            raise failed(f"controller {self._name}", method, error) from None
+            raise failed(f"controller {self._name}", method, error, self._controller) from None
         finally:
             end_call()
 
@@ -148,8 +191,8 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     """Make a controller by name.
 
     Args:
-        name: name of a controller, one of `CONTROLLERS`, or `package.module:Class` of a user's controller, which is
-            made without arguments.
+        name: name of a controller, one of `CONTROLLERS`, or `package.module:Class` or `file.py:Class` of a user's
+            controller, which is made without arguments.
         multiplier: C of a controller that has one; the others have none.
 
     Raises:
@@ -159,23 +202,22 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     if car.is_external or not car.exists:
         known = CONTROLLERS.names()
         raise UsageError(
-            f"unknown controller {name!r}; give {', '.join(known)}, or package.module:Class for your own"
-            f"{did_you_mean(name, (*known, EXTERNAL))}"
+            f"unknown controller {name!r}; give {', '.join(known)}, or file.py:Class or package.module:Class for "
+            f"your own{did_you_mean(name, (*known, EXTERNAL))}"
         )
-    what = f"controller {name!r}"
-    target = CONTROLLERS.target(name) if name in CONTROLLERS else name
+    what = f"controller {car.short_controller}"
+    target = CONTROLLERS.target(name) if name in CONTROLLERS else car.controller
     if car.is_own:
         factory: Callable[..., object] = load(target, what)
         return cast(Controller, factory(multiplier) if car.has_multiplier else factory())
     begin_call(LOADING)
     try:
         made: Any = load(target, what)()
-        if isinstance(made, Controller):
-            return user_controller(made, name)
+        _check_methods(made, what)
+        return user_controller(made, car.short_controller)
     except (Interrupted, UsageError):  # this process is to end, or what is wrong is said already
         raise
     except BaseException as error:  # a user's class may raise anything, and end the program with a clean exit code
-        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}") from None
+        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}{place_of(error)}") from None
     finally:
         end_call()
-    raise UsageError(f"{what} needs the methods reset(scenario, rng) and command(car, adversary)")

@@ -96,6 +96,10 @@ class _Pickler(_NumbaPickler):  # type: ignore[misc]
         return super().reducer_override(value)
 
 
+on_compiling: Final[list[Callable[[], None]]] = []
+"""Called, once each, before the first kernel that has to be compiled."""
+
+
 class KernelCache(_NumbaCache):  # type: ignore[misc]
     """Code of one kernel, as numba asks for it by the types of its arguments.
 
@@ -119,6 +123,8 @@ class KernelCache(_NumbaCache):  # type: ignore[misc]
         try:
             parts = pickle.loads(path.read_bytes())
         except (OSError, pickle.UnpicklingError, EOFError, AttributeError):
+            while on_compiling:
+                on_compiling.pop()()
             return None  # the last where it names a class of a program, and this is another program
         return _rebuild(target, *parts)
 

@@ -6,7 +6,8 @@ Imports none of them: every command begins with it.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
 from skd_sim.options.registry import Registry
@@ -46,7 +47,30 @@ _OWN = {
 }
 CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
 _EXTERNAL = ControllerKind("")
-_CLASS = re.compile(r"[\w.]+:[\w.]+")
+_CLASS = re.compile(r"[\w.]+:[\w.]+|.+\.py:[\w.]+")
+
+
+class ControllerName(str):
+    """Name of a controller; a file in it is an absolute path, so that it means the same in every process."""
+
+    __slots__ = ()
+
+    def __new__(cls, text: str) -> ControllerName:
+        """Make it of what a user has written: a name, `package.module:Class` or `path/to/file.py:Class`."""
+        file, colon, name = str(text).rpartition(":")
+        if not file.endswith(".py"):
+            return super().__new__(cls, text)
+        try:
+            path = Path(file).expanduser().absolute()
+        except RuntimeError:  # of a home that nobody has
+            path = Path(file)
+        return super().__new__(cls, f"{path}{colon}{name}")
+
+    @property
+    def short(self) -> str:
+        """The name without the folders of a file."""
+        file, colon, name = self.rpartition(":")
+        return f"{Path(file).name}{colon}{name}" if file.endswith(".py") else str(self)
 
 
 @dataclass(frozen=True)
@@ -54,12 +78,18 @@ class CarUnderTest:
     """A car under test: who drives it.
 
     Attributes:
-        controller: a name of `CONTROLLERS`, `package.module:Class` of a user's, or `external` (a node of a user's).
+        controller: a name of `CONTROLLERS`, `package.module:Class` or `file.py:Class` of a user's, or `external` (a
+            node of a user's).
         multiplier: C, where it has one.
+        name: what the user calls it; empty: nothing else.
     """
 
     controller: str = DEFAULT
     multiplier: float = 1.0
+    name: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controller", ControllerName(self.controller))
 
     @property
     def kind(self) -> ControllerKind:
@@ -116,12 +146,21 @@ class CarUnderTest:
     @property
     def label(self) -> str:
         """Its name in headings; different cars have different names."""
-        return f"{self.controller}, C = {self.multiplier:g}" if self.has_multiplier else self.controller
+        if self.name:
+            return self.name
+        return f"{self.controller}, C = {self.multiplier:g}" if self.has_multiplier else self.short_controller
 
     @property
     def file_name(self) -> str:
         """Its name in names of files and campaigns."""
-        return f"{self.controller}-C{self.multiplier:g}" if self.has_multiplier else self.controller
+        if self.name:
+            return self.name
+        return f"{self.controller}-C{self.multiplier:g}" if self.has_multiplier else self.short_controller
+
+    @property
+    def short_controller(self) -> str:
+        """Its controller as messages name it, without the folders of a file."""
+        return ControllerName(self.controller).short
 
 
 @dataclass(frozen=True)

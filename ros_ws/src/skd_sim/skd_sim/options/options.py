@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, cast
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import parse_json
 from skd_sim.options.adversary import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Knowledge, Objective, implied_knowledge
-from skd_sim.options.car_under_test import DEFAULT, SIMULATORS, WORLD, CarUnderTest
+from skd_sim.options.car_under_test import DEFAULT, SIMULATORS, WORLD, CarUnderTest, ControllerName
 from skd_sim.options.registry import Registry
 
 # ruff: noqa: RUF009 - `option` makes a field, as `dataclasses.field` does
@@ -80,7 +80,7 @@ class Option:
         planning: whether it matters only where somebody plans.
         graph_only: whether it has no effect on episodes that run in process.
         external_only: whether it is about a controller that is a node of somebody else.
-        seldom: whether the command line has it only by `-p name:=value` and `--params-file`.
+        seldom: whether it is rare, and the help leaves it out unless all is wanted.
         name: filled in from the field.
     """
 
@@ -105,7 +105,7 @@ class Option:
     @property
     def flag(self) -> str:
         """Its name on the command line."""
-        return f"-p {self.name}" if self.seldom else f"--{self.name.replace('_', '-')}"
+        return f"--{self.name.replace('_', '-')}"
 
     @property
     def plain_kind(self) -> type[Any]:
@@ -173,52 +173,55 @@ class EpisodeOptions:
 
     controller: str = option(
         DEFAULT,
-        "the car under test: basic (the paper's simple car), cal (the paper's machine-learning controller), carla (the "
-        "driving rules of CARLA 0.8), metadrive_expert (MetaDrive's own trained driver; in simulator metadrive only), "
-        "a name that an installed package has registered, package.module:Class (a Python class of your own), or "
-        "external (a ROS node of your own, which needs the node graph)",
+        "the car under test. SKD has basic (the paper's simple car), cal, carla and metadrive_expert. Your own "
+        "is file.py:Class, package.module:Class, a registered name, or external (a ROS node)",
+        ControllerName,
         metavar="NAME",
         group="car and test",
         commands=("assess", "episode", "probe", "ncap", "drive"),
     )
     multiplier: float = option(
         1.0,
-        "C of the basic controller: it brakes when the adversary is ahead of it by at most C times the distance in "
-        "which it can stop",
+        "C of the basic car: it brakes for an adversary ahead within C times its stopping distance",
         low=0.0,
         high=100.0,
         metavar="C",
         group="car and test",
         commands=("assess", "episode", "probe", "ncap", "drive"),
     )
+    name: str = option(
+        "",
+        "what your car is called in tables, lists and reports",
+        metavar="NAME",
+        group="car and test",
+        commands=("assess", "episode"),
+        unset="as --controller or the command of its node says",
+    )
     simulator: str = option(
         WORLD,
-        "what moves car and adversary: world (SKD's own simulator), metadrive (MetaDrive, which has to be installed: "
-        "extra metadrive), or a simulator that an installed package has registered",
+        "what moves car and adversary: world (SKD's own), metadrive (needs the extra metadrive), or a registered "
+        "simulator",
         choices=Names((), SIMULATORS),
         group="car and test",
         commands=("assess", "episode", "probe"),
     )
     car_model: str = option(
         "",
-        "the model of the car with which the adversary plans: a file car_model.yaml that skd fit has written, or the "
-        "folder that holds it",
+        "the model of the car with which the adversary plans: car_model.yaml of skd fit, or its folder",
         metavar="FILE",
         group="car and test",
         unset="none",
     )
     knowledge: Knowledge | None = option(
         None,
-        "what the adversary knows about the car: nothing (it takes every car for a basic one), learned (it plans "
-        "with the "
-        "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
-        "time), known (it knows C of the basic controller)",
+        "what the adversary knows: nothing (it expects a basic car), learned (from test "
+        "drives or --car-model), known (C)",
         Knowledge,
         choices=Names(tuple(map(str, Knowledge))),
         metavar="{" + ",".join(Knowledge) + "}",
         group="car and test",
         commands=("assess", "episode"),
-        unset="known for basic, learned for any other car",
+        unset="known if basic, else learned",
         planning=True,
     )
     simulations: int = option(
@@ -232,15 +235,14 @@ class EpisodeOptions:
     )
     objective: Objective = option(
         Objective.PAPER,
-        "what kamikazes are rewarded for: deviation (bending the safe trajectory φ as little as possible: this one "
-        "ranks cars), paper (colliding as soon as possible), frechet (a small Fréchet distance to φ), or both "
-        "(deviation and then paper; where only a single episode is run, paper)",
+        "what kamikazes are rewarded for: deviation (a small one), paper (an early collision), frechet (a small "
+        "Fréchet distance), or both: deviation, then paper",
         choices=Names((BOTH,), OBJECTIVES),
         asked=BOTH,
     )
     particles: int | None = option(
         None,
-        "how many particles (guesses of the car's state) make up what the adversary believes about the car",
+        "how many particles (guesses of the car's state) the adversary's belief has",
         int,
         low=0,
         high=1_000_000,
@@ -252,8 +254,7 @@ class EpisodeOptions:
     )
     maximum_distance: float | None = option(
         None,
-        "leave out each kamikaze that ends up further than this many metres from its safe trajectory, and report how "
-        "many were left out",
+        "leave out each kamikaze that ends further than this many metres from its safe trajectory, and count them",
         float,
         low=0.0,
         high=1e6,
@@ -266,7 +267,7 @@ class EpisodeOptions:
     @property
     def car(self) -> CarUnderTest:
         """The car under test."""
-        return CarUnderTest(self.controller, self.multiplier)
+        return CarUnderTest(self.controller, self.multiplier, self.name)
 
     @property
     def knows(self) -> Knowledge:
@@ -393,14 +394,13 @@ class CommandOptions:
 
     command_type: str = _command_option(
         "accel_stamped",
-        "type of the message in which the controller under test publishes its commands: accel_stamped (an "
-        "acceleration, m/s²); twist_stamped, twist or ackermann (a speed to reach, m/s); or the name of any message "
-        "type, such as my_msgs/msg/Command",
+        "message type of the controller's commands: accel_stamped (m/s²), twist_stamped, twist, ackermann (m/s), "
+        "or any name such as my_msgs/msg/Command",
         metavar="TYPE",
     )
     command_field: str = _command_option(
         "",
-        "which number in a message type of your own is the command, such as longitudinal.acceleration or axes[1]",
+        "which number of a message type of your own is the command, such as longitudinal.acceleration or axes[1]",
         metavar="FIELD",
         unset="none; a message type of your own needs one",
     )
@@ -420,8 +420,8 @@ class StateOptions:
 
     scan_rate: float = graph_option(
         0.0,
-        "how many laser scans and point clouds are published in a simulated second, as near as the control periods "
-        "allow. With 0 they are published with every state of the car",
+        "laser scans and point clouds per simulated second, as near as the control periods allow. With 0 they "
+        "come with every state",
         low=0.0,
         high=1000.0,
         metavar="HZ",
@@ -440,8 +440,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
 
     pacing: str = graph_option(
         LOCKSTEP,
-        "when the simulator advances: lockstep (as soon as the commands of car and adversary have arrived), or "
-        "real_time (by the wall clock, whether or not a command has arrived)",
+        "when the simulator advances: lockstep (when all commands have arrived), or real_time (by the wall clock)",
         choices=Names((LOCKSTEP, REAL_TIME)),
         commands=_RATED,
         seldom=False,
@@ -455,9 +454,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
     )
     slip_limit: float = graph_option(
         0.05,
-        "with real_time: how late the simulator may begin a control period, in seconds of the wall clock (or half a "
-        "period, if that is more). An episode in which it begins one later is aborted, for it says nothing about the "
-        "car",
+        "with real_time: how late a control period may begin, s of the wall clock. A later one aborts the episode",
         low=0.001,
         high=3600.0,
         metavar="S",
@@ -465,9 +462,8 @@ class SimulatorOptions(CommandOptions, StateOptions):
     )
     quiet_time: float | None = graph_option(
         None,
-        "with lockstep, for a controller that follows /clock and does not answer each state: the simulator goes on as "
-        "soon as the controller has published a command since the last state, and after this many seconds of the wall "
-        "clock at the latest. Until then its last command holds",
+        "with lockstep: go on this many seconds of the wall clock after a state that is not answered. The last "
+        "command holds",
         float,
         low=0.0,
         high=10.0,
@@ -485,8 +481,8 @@ class SimulatorOptions(CommandOptions, StateOptions):
     )
     startup_timeout: float = graph_option(
         60.0,
-        "an episode is aborted after this many seconds of the wall clock without its first command: nodes need time to "
-        "start. Without the node graph: how many seconds a call of your own controller may take",
+        "seconds of the wall clock until the first command of an episode. Without --graph: how long a call of "
+        "your controller may take",
         low=0.05,
         high=3600.0,
         metavar="S",
@@ -508,8 +504,8 @@ class SimulatorOptions(CommandOptions, StateOptions):
     )
     initial_pose: bool = graph_option(
         False,
-        "publish the car's start pose on /initialpose (geometry_msgs/PoseWithCovarianceStamped, frame map) before the "
-        "first state of each episode",
+        "publish the car's start pose on /initialpose (geometry_msgs/PoseWithCovarianceStamped, frame map) "
+        "before each episode",
         commands=(),
         graph_only=False,
     )

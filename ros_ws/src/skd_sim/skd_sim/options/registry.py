@@ -10,10 +10,16 @@ is not SKD's own, or for a list of all. A package adds its own in its pyproject.
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib
 import importlib.util
+import os
 import re
+import sys
+import traceback
 from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
@@ -32,19 +38,53 @@ def load(target: str, what: str) -> Any:
     """Return the attribute that `package.module:attribute` names.
 
     Args:
-        target: the module and the name in it, as `package.module:attribute`.
+        target: the module and the name in it, as `package.module:attribute` or `path/to/file.py:attribute`.
         what: what the name stands for, for the error line, such as "controller 'careful'".
 
     Raises:
         UsageError: it cannot be loaded.
     """
-    module, _, attribute = target.partition(":")
+    module, _, attribute = target.rpartition(":")
     try:
-        return functools.reduce(getattr, attribute.split("."), importlib.import_module(module))
-    except Interrupted:  # this process is to end
+        found: Any = _module_of_file(Path(module)) if module.endswith(".py") else importlib.import_module(module)
+    except (Interrupted, UsageError):  # this process is to end, or what is wrong is said already
         raise
     except BaseException as error:  # a user's module may raise anything, and end the program with a clean exit code
-        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}") from None
+        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}{place_of(error)}") from None
+    for name in attribute.split("."):
+        if not hasattr(found, name):
+            names = [one for one, value in vars(found).items() if isinstance(value, type) and one[:1] != "_"]
+            raise UsageError(f"{what}: {Path(module).name} has no {name}{did_you_mean(name, names)}")
+        found = getattr(found, name)
+    return found
+
+
+def _module_of_file(path: Path) -> ModuleType:
+    """Import a file by its path; one in a package as part of it. What lies beside it can be imported by it.
+
+    Raises:
+        UsageError: there is no such file.
+    """
+    path = path.expanduser().absolute()
+    if not path.is_file():
+        raise UsageError(f"{path}: there is no such file")
+    top = next(folder for folder in path.parents if not (folder / "__init__.py").is_file())
+    if str(top) not in sys.path:
+        sys.path.append(str(top))
+    if top != path.parent:
+        return importlib.import_module(".".join(path.relative_to(top).with_suffix("").parts))
+    name = f"{path.stem}_{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"  # two files may have one name
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
 
 
 def reason_of(error: BaseException) -> str:
@@ -54,6 +94,17 @@ def reason_of(error: BaseException) -> str:
     except BaseException:
         reason = type(error).__name__
     return reason + ("; is it on PYTHONPATH?" if isinstance(error, ModuleNotFoundError) else "")
+
+
+def place_of(error: BaseException, folder: str = "") -> str:
+    """Return file and line of the last step in a folder, or in any code but SKD's, that led to an error, in brackets.
+
+    Empty where there is none.
+    """
+    own = f"{Path(__file__).parents[2]}{os.sep}"
+    steps = [one for one in traceback.extract_tb(error.__traceback__) if not one.filename.startswith(("<", own))]
+    mine = [one for one in steps if folder and one.filename.startswith(folder)] or steps
+    return f" ({os.path.relpath(mine[-1].filename)}, line {mine[-1].lineno})" if mine else ""
 
 
 @functools.cache

@@ -147,11 +147,11 @@ def learn(
             plan.scenario, PROBES, seed=SEED, controller=plan.controller, multiplier=plan.multiplier
         )
     ]
-    recordings = _recordings(runner, probes, "probes", progress)
+    recordings = _recordings(runner, probes, "learning the car: probes", progress)
     first = learn_car(observe(recordings), version=version(), folds=1)
     safe = _starts(plan.scenario, of_reference or runner)
     trials = own_trials(plan, car_model_text(first), safe, TRIALS)
-    recordings += _recordings(runner, trials, "trials to learn from", progress)
+    recordings += _recordings(runner, trials, "learning the car: trials", progress)
     car = learn_car(observe(recordings), version=version(), folds=2)
     return with_waiting_reward(plan, car, safe, runner, progress)
 
@@ -266,7 +266,7 @@ def with_waiting_reward(
         trials = own_trials(
             plan, model, safe, WAITING_TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEVIATION,)
         )
-        logs = finished(runner, trials, f"trials that wait at {-choice:g} m a step", progress)
+        logs = finished(runner, trials, "learning the car: waiting", progress)
         mean = float(np.mean([_strayed(log) for log in logs]))
         if mean < least:
             best, least = choice, mean

@@ -41,7 +41,7 @@ def run_nominal(context: Context, assessment: Assessment) -> Assessment:
     if assessment.nominal_runs:
         return assessment
     episodes = runs_along(assessment.plan, assessment.safe)
-    logs = tuple(run_episodes(context.runner, episodes, "contact rate", context.progress))
+    logs = tuple(run_episodes(context.runner, episodes, "nominal runs", context.progress))
     return replace(assessment, nominal_runs=logs)
 
 
@@ -56,7 +56,7 @@ def run_bounded(context: Context, assessment: Assessment) -> Assessment:
     points: list[BudgetPoint] = []
     for number, eta in enumerate(BOUNDS, start=1):
         points.append(bounded_point(result, assessment.safe, eta, context.runner))
-        context.progress("kamikazes held to η", number, len(BOUNDS))
+        context.progress("bounded kamikazes", number, len(BOUNDS))
     return replace(assessment, budgets=tuple(budget_points(points)))
 
 

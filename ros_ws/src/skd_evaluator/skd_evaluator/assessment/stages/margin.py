@@ -35,7 +35,7 @@ from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.margins import Margins, Search
 
-LABEL = "margins"
+LABEL = "margin"
 _ROUNDING = 1e-6  # m
 WHOLE_EPISODE_TRIALS = 5
 """Trials on each φ whose margin is searched by whole episodes."""

@@ -19,6 +19,14 @@ from skd_sim.options.options import further_options
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.comparability import unlike_rows
 from skd_evaluator.assessment.context import Context, Progress, Runner
+from skd_evaluator.assessment.files.episode_store import (
+    FILE_NAME,
+    EpisodeStore,
+    StoppedError,
+    StoreError,
+    StoringRunner,
+    remove_files,
+)
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import fresh_process
 from skd_evaluator.assessment.stages.pipeline import run_stages
@@ -35,14 +43,6 @@ from skd_evaluator.extensions.campaign.cells import (
     open_row,
     row_of,
 )
-from skd_evaluator.extensions.campaign.episode_store import (
-    FILE_NAME,
-    EpisodeStore,
-    StoppedError,
-    StoreError,
-    StoringRunner,
-    remove_files,
-)
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_evaluator.provenance import date_now, provenance
 from skd_evaluator.report.presentation import fill
@@ -50,7 +50,7 @@ from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import assess_through_graph
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
-_COUNTED = ("safe trajectories", "kamikazes", "contact rate")  # stages whose episodes were foreseen
+_COUNTED = ("safe trajectories", "kamikazes", "nominal runs")  # stages whose episodes were foreseen
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
 
 

@@ -196,7 +196,8 @@ class _Reader:
             return self._scenario(value, what)
         if isinstance(value, tuple):
             return tuple(map(self._path_of, value))
-        return self._path_of(value) if key in _OF_FILES and value not in _NAMED else value
+        is_file = (key in _OF_FILES and value not in _NAMED) or (key == "controller" and ".py:" in value)
+        return self._path_of(value) if is_file else value
 
     def _scenario(self, value: str, what: str) -> str:
         """Return the name of a scenario, or the path of its file, which may be beside the campaign's."""
@@ -242,6 +243,8 @@ def _cell(defaults: Mapping[str, Any], parts: tuple[_Part, _Part, _Part]) -> Com
     if of_scenario.where:
         words.append(of_scenario.name or (_stem(scenario) if scenario else _stem(str(values["safe"]))))
     words += [_word(key, given[key]) for part in (of_scenario, sweep) for key in part.swept if key not in shown]
+    if car.name:
+        values["name"] = ", ".join([car.name, *(_word(key, given[key]) for key in car.swept)])
     name = _UNSAFE.sub("-", "_".join(words)).strip(".-_")
     return Combination(name, values, scenario, changes, swept, car.where or of_scenario.where)
 

@@ -25,6 +25,7 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
+from skd_evaluator.assessment.files.episode_store import digest_of, digest_of_trajectory
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
 from skd_evaluator.assessment.files.verification import assessment_from_file
@@ -36,7 +37,6 @@ from skd_evaluator.assessment.stages.kamikazes import BOUNDS, bounded_trials
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.extensions.campaign.campaign_file import Combination
-from skd_evaluator.extensions.campaign.episode_store import digest_of, digest_of_trajectory
 from skd_evaluator.provenance import code_digests, environment
 from skd_evaluator.report.presentation import warnings_of, why_failed
 

@@ -142,8 +142,7 @@ def _state(campaign: Campaign) -> str:
 def _interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
     if arguments.json:
         print_json({"interrupted": True, **campaign.content})
-    print(f"skd campaign: interrupted; {_state(campaign)}", file=sys.stderr)
-    print(f"skd campaign: go on with: {_go_on(arguments, out)}", file=sys.stderr)
+    print(f"skd campaign: interrupted; {_state(campaign)}; go on with: {_go_on(arguments, out)}", file=sys.stderr)
     return EXIT_INTERRUPTED
 
 

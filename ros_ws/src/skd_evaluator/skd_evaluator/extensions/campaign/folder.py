@@ -22,9 +22,9 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
+from skd_evaluator.assessment.files.episode_store import FILE_NAME as STORE
 from skd_evaluator.assessment.files.result_folder import write_manifests
 from skd_evaluator.extensions.campaign.cells import CHECKED, Cell
-from skd_evaluator.extensions.campaign.episode_store import FILE_NAME as STORE
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"

@@ -207,8 +207,7 @@ def selected_episodes(subject: Subject, episode: int | None, worst: int | None, 
         found = [number for number in lasting if int(episodes.episode_id[number]) == episode]
         if not found:
             raise UsageError(
-                f"--episode {episode}: {subject.folder} holds no such episode; skd show {subject.folder} --worst 5 "
-                "names some"
+                f"--episode {episode}: {subject.folder} holds no such episode; the report has the id of each"
             )
         return found
     fine = [number for number in lasting if episodes.outcome[number] != Outcome.ABORTED]

@@ -17,8 +17,7 @@ def add_export(commands: Any) -> None:
     export = commands.add_parser(
         "export",
         help="write kamikazes and safe trajectories as OpenSCENARIO, OSI, CommonRoad or csv",
-        description="Write the safe trajectories φ of a result, and every kamikaze, as files that other tools open: "
-        "ASAM OpenSCENARIO XML 1.2 with its OpenDRIVE road, ASAM OSI ground truth (MCAP), CommonRoad XML, or csv. "
+        description="Write the safe trajectories φ of a result, and every kamikaze, as files that other tools open. "
         "docs/exchange.md says what each format keeps.",
     )
     export.add_argument("path", type=Path, metavar="RESULT", help="folder of an assessment")
@@ -26,8 +25,7 @@ def add_export(commands: Any) -> None:
         "--format",
         choices=EXPORT_FORMATS,
         required=True,
-        help="openscenario (1.2, with road.xodr), osi (ground truth as MCAP, with road.xodr; needs the extra "
-        "exchange), commonroad (XML 2020a), or csv",
+        help="openscenario (1.2, OpenDRIVE road), osi (ground truth as MCAP; extra exchange), commonroad (2020a), csv",
     )
     which = export.add_mutually_exclusive_group()
     which.add_argument(
@@ -53,11 +51,10 @@ def add_import(commands: Any) -> None:
     """Add `skd import` to a parser's commands."""
     taken = commands.add_parser(
         "import",
-        help="make safe trajectories of files of others: OpenSCENARIO, OSI, CommonRoad, tracked data, bags",
-        description="Take a road user's way out of files of others, look at its rate, gaps and frame, and write "
-        "it as csv that --safe reads. Read are OpenSCENARIO XML (trajectories), ASAM OSI ground truth (MCAP, .osi), "
-        "CommonRoad XML, csv (t, x, y; t, id, x, y; or the layout of inD and rounD), recordings of ROS (MCAP, SQLite, "
-        "ROS 1; Odometry, poses, /tf, Detection3DArray), and folders of such files, as skd export writes them.",
+        help="import trajectories from OpenSCENARIO, OSI, CommonRoad, CSV or bags",
+        description="Import a road user's trajectory, check its rate, gaps and frame, and write it as csv that --safe "
+        "reads. Files: OpenSCENARIO XML, ASAM OSI (MCAP), CommonRoad XML, csv (also of inD and rounD), "
+        "recordings of ROS, and folders of such (docs/exchange.md).",
     )
     taken.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH", help="a file, a bag's folder, or a folder of files"
@@ -66,30 +63,28 @@ def add_import(commands: Any) -> None:
     who.add_argument(
         "--road-user",
         metavar="NAME",
-        help="whose way it is: the name of an entity, the id of an object or track, a topic of a bag, /tf:FRAME, or "
-        "TOPIC:ID of tracked objects (default: whom skd export calls the adversary, else the only one there is; of inD "
-        "and rounD every track of --kind)",
+        help="whose trajectory: name, id, topic, /tf:FRAME or TOPIC:ID (default: the adversary, else the only one)",
     )
     who.add_argument(
         "--kind",
         default="pedestrian",
         metavar="KIND",
-        help="which kind of road user is taken out of inD and rounD (default: pedestrian)",
+        help="the kind of road user in inD and rounD (default: pedestrian)",
     )
-    who.add_argument("--car", metavar="NAME", help="who is the car, for --frame car; named as --road-user is")
+    who.add_argument("--car", metavar="NAME", help="which object is the car, for --frame car; named as --road-user")
     where = taken.add_argument_group("where")
     where.add_argument(
         "--frame",
         type=_place,
         default=(0.0, 0.0, 0.0),
         metavar="X,Y,DEGREES|car",
-        help="where the frame map of the scenario lies in the file's frame: its origin, m, and the direction of its x "
-        "axis; or car: North is where the car drives, x = 0 its line, y = 0 where the way crosses it (default: 0,0,0)",
+        help="origin (m) and direction of the scenario's frame map in the file. With car it follows from how the car "
+        "drives (default: 0,0,0)",
     )
     where.add_argument(
         "--map-frame",
         metavar="FRAME",
-        help="frame of a bag in which ways are taken; objects in other frames are brought there by /tf and /tf_static",
+        help="frame of a bag to which /tf and /tf_static bring all objects",
     )
     where.add_argument(
         "--tf-topic",
@@ -100,16 +95,14 @@ def add_import(commands: Any) -> None:
     where.add_argument(
         "--scenario",
         metavar="NAME",
-        help="also check each way as skd assess --safe does with this scenario, and leave out what cannot be used; a "
-        "way that lasts longer than its horizon is cut to what is around the crossing",
+        help="also check each trajectory for this scenario, cut it to the horizon, and leave out what cannot be used",
     )
     where.add_argument(
         "--longest-gap",
         type=real_number(0.0, 60.0, above=True),
         default=LONGEST_GAP,
         metavar="S",
-        help="a longer gap in a track, or in transforms that it needs, is not filled: the way is left out (default: "
-        "%(default)s)",
+        help="leave out tracks with a longer gap, in transforms as well (default: %(default)s)",
     )
     which = taken.add_argument_group("what of a file")
     which.add_argument(

@@ -1,4 +1,4 @@
-"""`skd calibrate`: a simulated world in which simulated cars go as recorded ones."""
+"""`skd fuse --calibrate`: a simulated world in which simulated cars go as recorded ones."""
 
 from __future__ import annotations
 
@@ -41,6 +41,8 @@ RESULT, SCENARIO = "simulator.json", "simulator.yaml"
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    if arguments.physical is None:
+        raise UsageError("--calibrate needs PHYSICAL, the table of physical trials")
     begin = time.perf_counter()
     folder, physical = arguments.simulated, arguments.physical
     out = result_folder(arguments)
@@ -106,9 +108,9 @@ def run(arguments: argparse.Namespace) -> int:
         seconds = f"{time.perf_counter() - begin:.1f} s"
         print(seconds if problem else f"{seconds}; the calibrated scenario is {out.path / SCENARIO}")
     for line in warnings:
-        print(f"skd calibrate: warning: {line}", file=sys.stderr)
+        print(f"skd fuse --calibrate: warning: {line}", file=sys.stderr)
     if problem:
-        print(f"skd calibrate: {problem}", file=sys.stderr)
+        print(f"skd fuse --calibrate: {problem}", file=sys.stderr)
     return 1 if problem else 0
 
 

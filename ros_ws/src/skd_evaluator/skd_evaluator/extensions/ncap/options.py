@@ -24,16 +24,12 @@ def add_ncap(commands: Any) -> None:
         "ncap",
         help="run a regulator's tests: colours of Euro NCAP 2026, and the margin beside each",
         description="Run the static tests of Euro NCAP 2026, test speeds × impact places, in which the target does "
-        "what the protocol prescribes. Each cell has the impact speed, its colour, and beside it the margin: how far "
-        "the target would have to stray from its way, at the least, until the moving car hits. So a test that is "
-        "passed with little room stands out. This is not an official rating (docs/ncap.md).",
+        "what the protocol prescribes. Each cell has the impact speed, its colour, and the safety margin. So a test "
+        "that is passed with little room stands out. This is not an official rating (docs/ncap.md).",
     )
     tests = ncap.add_argument_group(CAR_GROUP)
-    cars = (
-        "the car under test: basic (the paper's simple car), cal, carla, a name that an installed package has "
-        "registered, or module:Class or file.py:Class of your own (default: basic)"
-    )
-    add_options(tests, "ncap", CAR_GROUP, controller={"help": cars})
+    without = "the car under test: basic, cal, carla, a registered name, file.py:Class or package.module:Class"
+    add_options(tests, "ncap", CAR_GROUP, controller={"help": f"{without} (default: basic)"})
     scenarios = tests.add_argument(
         "--scenarios",
         default=SCENARIOS,

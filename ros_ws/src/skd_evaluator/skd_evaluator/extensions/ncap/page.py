@@ -29,7 +29,6 @@ from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import Section, filled
-from skd_evaluator.report.terminal import car_name
 
 _OF_THE_TEST: Final = ("road", "adversary", "others", "obstacles", "protocol")
 """Sections of a scenario that make it the test of its name; the car and its speed are free."""
@@ -65,7 +64,7 @@ def _key(one: Subject) -> str:
     figures, scenario = one.figures, one.scenario.as_dict()
     for section, free in _BY_SPEED.items():
         scenario[section] = {key: value for key, value in scenario[section].items() if key not in free}
-    return json.dumps([car_name(figures), figures["seed"], scenario], sort_keys=True, default=str)
+    return json.dumps([str(figures["car"]), figures["seed"], scenario], sort_keys=True, default=str)
 
 
 def _view(group: Sequence[Subject]) -> View:
@@ -74,7 +73,7 @@ def _view(group: Sequence[Subject]) -> View:
         matrix, found = _cells(one)
         cells += found
     cells.sort(key=lambda cell: (cell.speed, cell.place or 0.0, cell.target or 0.0))
-    return View(car_name(group[0].figures), grid_of(name, group[0].scenario, cells, matrix))
+    return View(str(group[0].figures["car"]), grid_of(name, group[0].scenario, cells, matrix))
 
 
 def _cells(one: Subject) -> tuple[ProtocolMatrix | None, list[NcapCell]]:

@@ -27,7 +27,7 @@ from skd_evaluator.report.formats import (
 )
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
-from skd_evaluator.report.terminal import car_name, credibility, headline
+from skd_evaluator.report.terminal import credibility, headline
 
 _FEW = 3
 _FILES = 10  # of a car, whose digests are shown
@@ -49,8 +49,7 @@ def sentences_of(subject: Subject) -> list[str]:
         aborted = figures["aborted"]
         why = f"{counted(aborted, 'episode')} were aborted" if aborted else "no trial ran"
         return [f"This is no rating: no kamikaze ran to its end ({why}). It says nothing about the car."]
-    first = headline(figures).removeprefix(f"{car_name(figures)}: ")  # which stands above
-    first = first[:1].upper() + first[1:]
+    first = headline(figures, named=False)  # it stands above
     if figures["deviation"] is None:
         return [first, "No planned kamikaze ran to its end."]
     knowledge = figures.get("knowledge")
@@ -286,12 +285,12 @@ class CarMatrix:
 
 def matrix_of(subjects: Sequence[Subject]) -> CarMatrix | None:
     """Return the matrix; None where there are not both several cars and several scenarios."""
-    cars, scenarios = list(dict.fromkeys(car_name(one.figures) for one in subjects)), scenarios_of(subjects)
+    cars, scenarios = list(dict.fromkeys(str(one.figures["car"]) for one in subjects)), scenarios_of(subjects)
     if len(cars) < 2 or len(scenarios) < 2:
         return None
     cells: dict[tuple[str, str], list[MatrixCell]] = {}
     for one in subjects:
-        cells.setdefault((car_name(one.figures), one.scenario.name), []).append(_cell(one))
+        cells.setdefault((str(one.figures["car"]), one.scenario.name), []).append(_cell(one))
     rows = tuple((car, tuple(tuple(cells.get((car, place), ())) for place in scenarios)) for car in cars)
     return CarMatrix(tuple(scenarios), rows)
 

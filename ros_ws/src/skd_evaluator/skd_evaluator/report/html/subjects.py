@@ -23,7 +23,7 @@ from skd_evaluator.files import tails
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.formats import kept_failures
-from skd_evaluator.report.terminal import car_name
+from skd_evaluator.report.history import result_folders
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ def read_subjects(folders: Sequence[Path]) -> list[Subject]:
         elif (folder / "campaign.json").exists():
             found += _read_campaign(folder)
         else:
-            raise UsageError(f"{folder}: holds no assessment.json, sweep.json or campaign.json; give a result's folder")
+            found += [_read(place, "") for place in result_folders([folder])]
     return _with_labels(found)
 
 
@@ -151,7 +151,7 @@ def _read(folder: Path, kind: str) -> Subject:
     figures, episodes, remarks = read_checked(folder)
     with understood(path):
         scenario = scenario_from_dict(figures["scenario"], str(path))
-        subject = Subject(folder, car_name(figures), kind, figures, scenario, episodes, remarks)
+        subject = Subject(folder, str(figures["car"]), kind, figures, scenario, episodes, remarks)
         _ = subject.curve  # it is found here that it cannot be had
     return subject
 
