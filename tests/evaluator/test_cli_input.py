@@ -99,7 +99,6 @@ def test_bad_number(capsys, command, option, value):
         (["assess", "-p", "maximum_distance:=-1"], "-p maximum_distance: maximum_distance must be a number from 0"),
         (["assess", "-p", "pacing"], "-p pacing: must be NAME:=VALUE"),
         (["probe", "-p", "curve:=true"], "unknown key curve"),
-        (["assess", "--maximum-distance", "1"], "give it as -p maximum_distance:=VALUE"),
         (["assess", "--out=\udcff"], "'--out=\\udcff' has bytes that are no text in UTF-8"),
         (["compare", "a", "b", "--out", "x\udcff"], "'x\\udcff' has bytes that are no text in UTF-8"),
     ],

@@ -62,7 +62,7 @@ def test_help_does_without_an_extension(name: str, tmp_path: Path):
     assert (done.returncode, done.stderr) == (0, "")
     for extension, commands in COMMANDS.items():
         for command in commands:
-            assert (re.search(rf"^    {command}\b", done.stdout, re.MULTILINE) is not None) == (extension != name)
+            assert (re.search(rf"^  {command}\b", done.stdout, re.MULTILINE) is not None) == (extension != name)
 
 
 def test_cars_are_assessed_and_reported_without_any_extension(tmp_path: Path):

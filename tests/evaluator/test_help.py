@@ -23,7 +23,7 @@ def test_help_that_cannot_be_written_is_an_error_in_a_line(here, words):
 
 def test_every_command_explains_itself(capsys):
     assert run_skd("--help") == 0
-    commands = re.findall(r"^    (\w+) ", capsys.readouterr().out, re.MULTILINE)
+    commands = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
     assert {"assess", "episode", "probe"} <= set(commands)
     for command in commands:
         assert run_skd(command, "--help") == 0, command

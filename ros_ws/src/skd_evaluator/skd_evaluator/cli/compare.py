@@ -15,14 +15,13 @@ from skd_evaluator.assessment.compare.comparison import MARGIN, Comparison, comp
 from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.files.results import StoredResult, read_result
+from skd_evaluator.assessment.files.results import StoredResult, read_result, result_folders
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.report.charts import alike
-from skd_evaluator.report.history import result_folders
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
 from skd_evaluator.report.terminal import print_table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,13 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import folders_in, read_json, real_path
+from skd_sim.inputs.files import read_json, real_path
 
 from skd_evaluator.assessment.compare.comparison import Comparison
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.files import PREFIX
+from skd_evaluator.assessment.files.results import assessments_below
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.provenance import code_of_car
@@ -106,40 +106,14 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
         UsageError: a folder is not there.
     """
     found: dict[Path, Run] = {}
+    unread: list[Run] = []
     for folder in folders:
         if not folder.is_dir():
             raise UsageError(f"{folder}: there is no such folder")
-        unread: list[Run] = []
-        for place in _places(folder, unread):
+        for place in assessments_below(folder, lambda path, why: unread.append(Run(path, {}, why))):
             found.setdefault(real_path(place), read_run(place))
-        found.update((one.folder, one) for one in unread)
+    found.update((one.folder, one) for one in unread)
     return list(found.values())
-
-
-def result_folders(paths: Sequence[Path]) -> list[Path]:
-    """Return the folders of the assessments in or under some, each once.
-
-    Raises:
-        UsageError: one is not there, or holds none.
-    """
-    found: dict[Path, Path] = {}
-    for path in paths:
-        if not path.is_dir():
-            raise UsageError(f"{path}: there is no such folder")
-        places = list(_places(path, []))
-        if not places:
-            raise UsageError(f"{path}: holds no {ASSESSMENT}, nor does a folder in it")
-        for place in places:
-            found.setdefault(real_path(place), place)
-    return list(found.values())
-
-
-def _places(folder: Path, unread: list[Run]) -> Iterator[Path]:
-    """Yield the folders that hold an assessment, in the order of their names; hidden ones are left out."""
-    for path, inside, files in folders_in(folder, lambda path, why: unread.append(Run(path, {}, why))):
-        inside[:] = sorted(name for name in inside if not name.startswith((".", PREFIX)))
-        if ASSESSMENT in files:
-            yield path
 
 
 def read_run(folder: Path) -> Run:

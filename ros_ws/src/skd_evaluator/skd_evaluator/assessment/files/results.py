@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import folders_in, real_path
 from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.start import installing
@@ -304,3 +305,34 @@ def episode_summary(log: EpisodeLog) -> dict[str, Any]:
         "scenario": spec.scenario.as_dict(),
         "version": version(),
     }
+
+
+def assessments_below(folder: Path, unread: Callable[[Path, str], None]) -> Iterator[Path]:
+    """Yield the folders at and below one that hold an assessment, in the order of their names, no hidden ones.
+
+    Args:
+        folder: where to look.
+        unread: called with a folder that cannot be looked into, and why.
+    """
+    for path, inside, files in folders_in(folder, unread):
+        inside[:] = sorted(name for name in inside if not name.startswith("."))
+        if ASSESSMENT in files:
+            yield path
+
+
+def result_folders(paths: Sequence[Path]) -> list[Path]:
+    """Return the folders of the assessments in or under some, each once.
+
+    Raises:
+        UsageError: one is not there, or holds none.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        if not path.is_dir():
+            raise UsageError(f"{path}: there is no such folder")
+        places = list(assessments_below(path, lambda _path, _why: None))
+        if not places:
+            raise UsageError(f"{path}: holds no {ASSESSMENT}, nor does a folder in it")
+        for place in places:
+            found.setdefault(real_path(place), place)
+    return list(found.values())

@@ -40,10 +40,6 @@ _SMALL = 0.05  # p-value of a trend that is shown
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    if arguments.calibrate:
-        from skd_evaluator.extensions.fusion import calibrate_command
-
-        return calibrate_command.run(arguments)
     if (arguments.physical is None) == (arguments.width is None):
         raise UsageError("give PHYSICAL, the table of trials, or --width, to plan how many there are to be")
     if arguments.width is not None:

@@ -7,7 +7,6 @@ from typing import Any
 
 from skd_evaluator.cli.arguments import (
     add_count,
-    add_flag,
     add_output_arguments,
     add_workers_argument,
     frame_place,
@@ -53,7 +52,8 @@ def add_fuse(commands: Any) -> None:
     )
     calibration = fuse.add_argument_group("calibration")
     text = "estimate delay and deceleration of the brake, friction and sensor range of the simulator instead"
-    add_flag(calibration, "--calibrate", text)
+    module = "skd_evaluator.extensions.fusion.calibrate_command"
+    calibration.add_argument("--calibrate", dest="module", action="store_const", const=module, help=text)
     text = f"what may be calibrated: {', '.join(CALIBRATED)} (default: all of which the trials say something)"
     calibration.add_argument("--parameters", nargs="+", choices=CALIBRATED, metavar="NAME", help=text)
     add_workers_argument(calibration)

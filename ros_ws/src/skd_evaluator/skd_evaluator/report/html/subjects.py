@@ -18,12 +18,11 @@ from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, failing_episodes
-from skd_evaluator.assessment.files.results import read_checked
+from skd_evaluator.assessment.files.results import read_checked, result_folders
 from skd_evaluator.files import tails
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.formats import kept_failures
-from skd_evaluator.report.history import result_folders
 
 
 @dataclass(frozen=True, eq=False)
