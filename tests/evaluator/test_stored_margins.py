@@ -133,31 +133,3 @@ def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, fo
     limited = edited(folders[1.15], tmp_path / "limited", maximum_distance=2.0)
     refused = skd_here("compare", str(one), str(limited), "--difference", "0.3", "--figure", "deviation")
     one_line(refused, 2, "planned figures are not compared", "maximum distance (m) none and 2")
-<<<<<<< HEAD
-=======
-
-
-def test_compare_is_in_order_and_warns_once(skd_here, here, folders, tmp_path):
-    two = edited(
-        folders[1.15], tmp_path / "two", knowledge="nothing", margin_converged=False, margin_budget=70, margin_gap=None
-    )
-    done = skd_here("compare", str(folders[0.5]), str(two), "--out", "both")
-    assert done.returncode == 0, done.stderr
-    *unchecked, first, second = done.stderr.splitlines()
-    assert all("has no manifest.sha256" in line for line in unchecked)
-    assert len(unchecked) == 2
-    assert "planned figures are not compared" in first
-    assert "had not converged at 70 candidates a trial" in second
-    content = json.loads((here / "both" / "comparison.json").read_text(encoding="utf-8"))
-    assert content["ranked_by"] == "margin"
-    (held,) = content["comparisons"]
-    assert (held["verdict"], held["judged_by"]) == (
-        "not told apart",
-        "margin",
-    )  # the safer one has an upper bound alone
-    assert set(held["differences"]) == {"margin", "nominal_collision_rate", "contact_rate"}
-    row = content["rows"][0]
-    assert f"{row['margin']:.3f}" in done.stdout
-    order = [done.stdout.index(f"{row['margin']:.3f}") for row in content["rows"]]
-    assert order == sorted(order)
->>>>>>> cd562d97 (Folders of results are found in one place; fuse calibrates)
