@@ -176,9 +176,9 @@ def test_an_interrupted_campaign_says_how_to_go_on(here, begun, skd_here):
     begun.send_signal(signal.SIGINT)
     _, said = begun.communicate()
     assert begun.returncode == 130, said
-    first, second = said.splitlines()[-2:]
+    first = said.splitlines()[-1]
     assert "interrupted; 0 of 2 cells done, and " in first
-    assert second == ("skd campaign: go on with: skd campaign campaign.yaml --out out --workers 1 --resume")
+    assert first.endswith("; go on with: skd campaign campaign.yaml --out out --workers 1 --resume")
     kept = stored(here)
     assert f"and {kept} episodes of the others kept" in first
     assert kept > 0

@@ -119,7 +119,7 @@ def test_whatever_is_specified_is_in_the_digest():
             {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"multiplier": 0.5},
             {"controller": "cal", "knowledge": Knowledge.NOTHING},
             {"simulations": 7}, {"objective": Objective.FRECHET}, {"particles": 9}, {"maximum_distance": 2.0},
-            {"car_model": "{}", "knowledge": Knowledge.LEARNED}, {"simulator": "elsewhere"},
+            {"name": "mine"}, {"car_model": "{}", "knowledge": Knowledge.LEARNED}, {"simulator": "elsewhere"},
             {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},
             {"safe_trajectory": dataclasses.replace(ACROSS, name="along")},
             {"scenario": dataclasses.replace(CROSSING, eta_max=4.0)},

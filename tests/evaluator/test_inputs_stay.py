@@ -29,7 +29,7 @@ READ = {  # by the name of an option, whatever command has it: the words that ha
     "car_model": ["--car-model", "{}/file"],
     "behaviour": ["--behaviour", "{}/file"],
     "scenarios": ["--scenarios", "cpna,{}/mine.yaml"],
-    "message_folder": ["-p", "message_folder:={}/messages"],
+    "message_folder": ["--message-folder", "{}/messages"],
     "controller": ["--controller", "cars_in_it:Fine"],
 }
 

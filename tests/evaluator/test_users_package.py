@@ -135,7 +135,7 @@ def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, na
 @pytest.mark.parametrize(
     ("entries", "words", "said"),
     [
-        ("[skd.controllers]\nlost = my_scenarios:Nobody\n", ("--controller", "lost"), "AttributeError"),
+        ("[skd.controllers]\nlost = my_scenarios:Nobody\n", ("--controller", "lost"), "my_scenarios has no Nobody"),
         ("[skd.simulators]\nlost = my_scenarios:Careful\n", ("--simulator", "lost"), "needs the methods reset"),
         ("[skd.scenarios]\nlost = nowhere:DATA\n", ("--scenario", "lost"), "ModuleNotFoundError"),
         ("[skd.measures]\nlost = nowhere:DATA\n", (), "measure 'lost' cannot be loaded"),

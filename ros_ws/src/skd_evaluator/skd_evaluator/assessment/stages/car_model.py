@@ -226,7 +226,8 @@ def finished(runner: Runner, episodes: Sequence[EpisodeSpec], label: str, progre
         else:
             found.append(log)
     if not found:
-        raise AssessmentError(f"the car cannot be learned: all {len(episodes)} {label} were aborted ({reason})")
+        what = label.rpartition(": ")[2]
+        raise AssessmentError(f"the car cannot be learned: all {len(episodes)} {what} were aborted ({reason})")
     return found
 
 

@@ -178,6 +178,8 @@ class _Reader:
         """
         changes = {key for key in data if key.startswith(f"{_SCENARIO}.")}
         options = {key: value for key, value in data.items() if key not in changes}
+        if "name" in options:
+            raise UsageError(f"{self._path}: unknown key {where}.name: an entry of cars has a name")
         read = read_options(options, str(self._path), *_TABLES, path=where, listed=listed)
         if _OF_WHOLE in read:
             raise UsageError(f"{self._path}: {where}.{_OF_WHOLE} is of the whole campaign: skd campaign --{_OF_WHOLE}")

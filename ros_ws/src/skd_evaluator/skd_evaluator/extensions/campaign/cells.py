@@ -177,6 +177,7 @@ def _identity(
     """Return all that the figures of a cell depend on."""
     values = one.values
     options = {option.name: option.plain(getattr(plan, option.name)) for option in options_of(CampaignOptions)}
+    del options["name"]  # no figure depends on it
     options["objective"] = ",".join(objectives)
     options["car_model"] = hashlib.sha256(plan.car_model.encode()).hexdigest() if plan.car_model else ""
     further = ("graph", "margin_limit", "curve")
