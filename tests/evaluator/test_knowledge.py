@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_support import one_line, skd
 from skd_adversary.adversary import make_adversary, predicted_car
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
 from skd_adversary.warm_up import any_car_models
@@ -187,9 +186,3 @@ def test_another_car_is_kept_elsewhere(tmp_path: Path, monkeypatch: pytest.Monke
     others += [model_folder(external, {"controller_command": f"{node} --gain {gain}"}) for gain in (1, 2)]
     assert len({here, *others}) == 1 + len(others)
     assert model_folder(external, {}) is None  # whatever somebody has started
-
-
-@pytest.mark.parametrize("command", ["assess", "episode"])
-def test_commands_refuse_in_one_line(command: str, tmp_path: Path) -> None:
-    told = skd(command, "--controller", "carla", "--knowledge", "known", cwd=tmp_path)
-    one_line(told, 2, "knowledge known", "carla")

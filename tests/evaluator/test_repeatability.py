@@ -20,9 +20,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.checks import (
     SAMPLE,
-    Drive,
     driving,
-    is_same,
     repeatability,
     sample_of,
 )
@@ -136,35 +134,7 @@ def test_the_sample_is_spread_over_what_can_be_repeated() -> None:
     assert repeatability("a.b:C", [], nullcontext) == ()  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"outcome": Outcome.TIMEOUT},
-        {"impact_speed": 2.0},
-        {"car": np.full((3, 4), 1e-5)},
-        {"adversary": np.zeros((2, 2)), "car": np.zeros((2, 4))},
-    ],
-)
-def test_logs_that_differ(other: dict[str, object]) -> None:
-    log = EpisodeLog(EPISODES[4], Outcome.MISSED, np.zeros((3, 2)), np.zeros((3, 4)))
-    assert is_same(log, replace(log, car=np.full((3, 4), 1e-7)))
-    assert not is_same(log, replace(log, **other))
-
-
 # --- whether it drives
-
-
-class Towards:
-    """Drives at one speed, whoever is there; at most 2 m/s² of change."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-
-    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        pass
-
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
-        return float(np.clip((self._speed - car.speed) / 0.3, -2.0, 2.0))
 
 
 class Driven:
@@ -201,18 +171,6 @@ def test_when_a_car_hardly_drives(speeds: list[float], begins: str | None, often
     for line in lines:
         assert line.startswith(f"{begins}a.b:C ")
         assert often in line
-
-
-def test_how_much_it_slows_down_is_said() -> None:
-    (line,) = driving(PLAN, Runner(Towards(3.0)))
-    first, last = map(float, re.findall(r"from (\S+) to (\S+) m/s", line)[0])
-    assert first == pytest.approx(STARTS, abs=0.05)
-    assert last == pytest.approx(3.0, rel=CROSSING.car.speed_noise, abs=0.05)  # at 2 m/s² it is there within 6 s
-
-
-def test_a_car_that_begins_standing_slows_down_for_nobody() -> None:
-    assert not Drive(0.0, 0.0).slows
-    assert [Drive(8.0, last).slows for last in (3.9, 4.1)] == [True, False]
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())

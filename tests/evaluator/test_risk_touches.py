@@ -25,8 +25,7 @@ from skd_sim.controllers import Controller
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.world.episode import EpisodeLog, Outcome
 
 WALKERS = load_behaviour("walkers")
 CROSSING = load_scenario("crossing")
@@ -140,24 +139,3 @@ def test_closing_speed_delta_v_and_fatality_are_those_at_the_contact(case):
         assert closing_speed(log) == pytest.approx(comes, abs=5e-3)
         assert values["delta_v"][row] == pytest.approx(greater_delta_v(comes, "pedestrian"), abs=5e-3)
         assert values["fatality_risk"][row] == pytest.approx(fatality_risk(comes).value, rel=0.01)
-
-
-def test_of_two_who_are_less_than_a_millimetre_away_the_nearer_one_is_touched():
-    """A disc at a corner of the car, and a box whose own corner is nearer to its front, or is not."""
-    front, apart = CROSSING.car.front, CROSSING.adversary.reach + 2e-4
-    disc = CROSSING.car.half_width + apart * math.cos(0.87), front + apart * math.sin(0.87)
-    for ahead, wanted in ((1e-4, 0), (5e-4, -1)):
-        way = (Waypoint(0.0, -0.5, front + 0.5 * math.sqrt(2.0) + ahead),)
-        box = Other(kind="cyclist", length=1.0, width=1.0, start_heading=0.25 * math.pi, way=way)
-        log = ended([[0.0, -1.2, 8.0], [0.0, 1.2, 8.0]], 0.5, 8.0, others=(box,))
-        assert collision_partner(replace(log, adversary=np.array([disc, disc]))) == wanted
-
-
-def ended(car: list[list[float]], share: float, impact: float, **changes: object) -> EpisodeLog:
-    """An episode that ends at a share of its last tick."""
-    scenario = replace(CROSSING, **changes)
-    walk = np.column_stack([np.linspace(-1.0, 0.0, len(car)), np.zeros(len(car))])
-    phi = Trajectory(walk, scenario.time_step)
-    episode = EpisodeSpec(scenario, Mode.REPLAY, 1, 1, safe_trajectory=phi)
-    time = (len(car) - 2 + share) * scenario.time_step
-    return EpisodeLog(episode, Outcome.COLLISION, walk, np.insert(np.array(car), 2, math.pi / 2, axis=1), time, impact)

@@ -26,13 +26,11 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, until_
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.plan import Stage, episode_id, split_episode_id
-from skd_evaluator.metrics.behaviour.model import NAMES
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.deviation import Hit, deviation_pairs
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs
-from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
+from skd_evaluator.metrics.risks import ScaleRisk, Touch
 
 LARGEST = 128 * 2**20
 """Bytes of all arrays of a file together, unpacked: some 400,000 episodes."""
@@ -656,23 +654,3 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
         margin_hits=(),
         further={},
     )
-
-
-def with_failures(risks: Risks, stored: StoredEpisodes, scenario: Scenario) -> Risks:
-    """Return the risks with the most likely failures, computed anew but for what the car did.
-
-    Raises:
-        ValueError, LookupError: those that are kept are others.
-    """
-    parameters = risks.behaviour["parameters"]
-    values = np.array([float(parameters[name]["value"]) for name in NAMES])
-    walkers = Walkers(scenario, stored.safe, int(stored.further["seed"]), values)
-    found, failing = failures_of(risks.scales, walkers), failing_episodes(stored)
-    rows = [] if found is None else sorted(one.row for one in found.nearest)
-    if found is None:
-        if len(failing):
-            raise ValueError("failures are kept, and no crossing is one")
-        return risks
-    if rows != stored.further["risk_failure"].tolist():
-        raise ValueError("the failures that are kept are not those nearest to how people walk")
-    return replace(risks, failures=found.as_dict(dict(zip(rows, failing.impact_speed.tolist(), strict=True))))

@@ -23,13 +23,15 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
+from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
-from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures
+from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, failing_episodes, read_episodes
 from skd_evaluator.assessment.files.result_folder import CHANGED, GONE, MANIFEST, compared, read_manifest
 from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, kamikaze_set
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import not_credible
+from skd_evaluator.metrics.behaviour.model import NAMES
 from skd_evaluator.metrics.margins import Excess, Margins, Search
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
 
@@ -93,7 +95,9 @@ def assessment_from_file(figures: Mapping[str, Any], stored: StoredEpisodes) -> 
     margins = _stored_margins(figures, stored, scenario, confidence)
     risks = stored_risks(figures, stored, confidence)
     seconds = float(figures["seconds"])
-    return replace(assessment, seconds=seconds, margins=margins, risks=risks and with_failures(risks, stored, scenario))
+    return replace(
+        assessment, seconds=seconds, margins=margins, risks=risks and _with_failures(risks, stored, scenario)
+    )
 
 
 def _confidence(figures: Mapping[str, Any]) -> float:
@@ -153,6 +157,26 @@ def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence:
             subsets = Subsets(shares[row], levels[row], per_level, int(further["risk_open"][row]))
         found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence, ticks[row], lost[row]))
     return Risks(figures["risk"]["behaviour"], found)
+
+
+def _with_failures(risks: Risks, stored: StoredEpisodes, scenario: Scenario) -> Risks:
+    """Return the risks with the most likely failures, computed anew but for what the car did.
+
+    Raises:
+        ValueError, LookupError: those that are kept are others.
+    """
+    parameters = risks.behaviour["parameters"]
+    values = np.array([float(parameters[name]["value"]) for name in NAMES])
+    walkers = Walkers(scenario, stored.safe, int(stored.further["seed"]), values)
+    found, failing = failures_of(risks.scales, walkers), failing_episodes(stored)
+    rows = [] if found is None else sorted(one.row for one in found.nearest)
+    if found is None:
+        if len(failing):
+            raise ValueError("failures are kept, and no crossing is one")
+        return risks
+    if rows != stored.further["risk_failure"].tolist():
+        raise ValueError("the failures that are kept are not those nearest to how people walk")
+    return replace(risks, failures=found.as_dict(dict(zip(rows, failing.impact_speed.tolist(), strict=True))))
 
 
 _CAMPAIGN = "campaign.json"
