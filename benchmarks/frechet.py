@@ -5,7 +5,6 @@ depends on the curves, so there are several kinds, from those that it is fastest
 many curves of one length against one reference; slow libraries get the first pairs of it. Every value must agree to
 1e-12 with ours, or there is no result. A library that is not installed is reported as such.
 
-Then: what a bound spares.
 
     python benchmarks/frechet.py [--json]
 """
@@ -136,21 +135,6 @@ def _compare(kind: str, size: int) -> dict[str, float | None]:
     return {name: medians.get(name) for name in candidates}
 
 
-def _bounds(size: int) -> dict[str, float]:
-    """Return µs a pair in a batch of random walks without a bound and with some."""
-    p, others = _curves("random walks", size, _BATCH[size])
-    exact = discrete_frechet_pairs(p, others)
-    timed: dict[str, Timed] = {}
-    for name, share in (("no bound", 1.0), ("half within", 0.5), ("a tenth within", 0.1), ("none within", 0.0)):
-        bound = math.inf if share == 1.0 else float(np.quantile(exact, share)) * (1.0 if share else 0.999)
-        if not np.array_equal(
-            discrete_frechet_pairs(p, others, bound=bound), np.where(exact <= bound, exact, math.inf)
-        ):
-            raise SystemExit(f"a bound of {bound} changes distances")
-        timed[name] = (lambda bound=bound: discrete_frechet_pairs(p, others, bound=bound)), len(others)
-    return _medians(timed)
-
-
 def _fastest_library(row: dict[str, float | None]) -> tuple[str, float] | None:
     others = {name: micros for name, micros in row.items() if micros is not None and not name.startswith("skd")}
     name = min(others, key=others.__getitem__, default=None)
@@ -182,15 +166,11 @@ def main() -> None:
     arguments = parser.parse_args()
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     comparison = {size: {kind: _compare(kind, size) for kind in _KINDS} for size in _SIZES}
-    bounds = {size: _bounds(size) for size in _SIZES}
     if arguments.json:
-        print(json.dumps({"one core": comparison, "bounds": bounds}, indent=2))
+        print(json.dumps({"one core": comparison}, indent=2))
         return
     for size, rows in comparison.items():
         _print_comparison(size, rows)
-    print("\nBatches of random walks with a bound, µs a pair")
-    for size, row in bounds.items():
-        print(f"{f'{size} × {size}':14}" + "   ".join(f"{name}: {micros:.2f}" for name, micros in row.items()))
 
 
 if __name__ == "__main__":

@@ -111,20 +111,6 @@ def test_batch_equals_single_bit_for_bit(case):
     assert batch.tolist() == [discrete_frechet(reference, other) for other in others]
 
 
-def within(distance: float, bound: float) -> float:
-    return distance if distance <= bound else math.inf
-
-
-@settings(max_examples=400)
-@given(tuples_of_curves(2, longest=14), st.integers(0, 1500).map(lambda k: k / 64.0))
-def test_bound_keeps_the_bits_up_to_it_and_gives_infinity_beyond(pair, bound):
-    p, q = pair
-    exact = row_by_row(p, q)
-    # At the distance itself, and one bit on either side of it, as well as anywhere.
-    for limit in (bound, exact, np.nextafter(exact, math.inf), max(0.0, np.nextafter(exact, -math.inf)), math.inf):
-        assert discrete_frechet(p, q, bound=limit) == within(exact, limit)
-
-
 def alike(rng: np.random.Generator, n: int, dimension: int, noise: float) -> np.ndarray:
     """Points along one path, at a speed of the curve's own: few cells of a table matter."""
     times = np.sort(rng.uniform(size=n))
@@ -143,10 +129,6 @@ def test_leaving_cells_out_changes_no_bit(n, m, dimension):
         exact = [row_by_row(reference, other) for other in others]
         assert [discrete_frechet(reference, other) for other in others] == exact
         assert discrete_frechet_pairs(reference, others).tolist() == exact
-        for bound in np.quantile(exact, [0.0, 0.3, 0.6, 0.9]):
-            expected = [within(distance, bound) for distance in exact]
-            assert discrete_frechet_pairs(reference, others, bound=bound).tolist() == expected
-            assert [discrete_frechet(reference, other, bound=bound) for other in others] == expected
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -157,8 +139,9 @@ def test_a_way_to_the_end_of_one_curve_that_is_lost_is_not_found_again(near, dim
     p[3:, 0] = 0.9
     q[1:near, 0], q[near:99, 0] = -0.5, -5.0
     assert row_by_row(p, q) == pytest.approx(5.0)
-    assert discrete_frechet(p, q, bound=1.0) == math.inf
-    assert (discrete_frechet_pairs(p, [q] * 7, bound=1.0) == math.inf).all()
+    exact = row_by_row(p, q)
+    assert discrete_frechet(p, q) == exact
+    assert discrete_frechet_pairs(p, [q] * 7).tolist() == [exact] * 7
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

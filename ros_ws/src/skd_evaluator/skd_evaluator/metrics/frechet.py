@@ -9,14 +9,14 @@ other: the cells of an anti-diagonal do not depend on one another, so the proces
 row order forbids. Three diagonals are kept, so memory is linear. Several curves q against one p go through the table
 side by side ("lanes", interleaved point by point), which keeps short curves efficient too.
 
-Only cells that can matter are filled. The coupling that goes along both curves evenly gives a limit from above, the
-caller's bound another; values never fall along a coupling, so none that leads to an answer within the limit has a cell
-beyond it. The range of rows taken on to the next diagonal is narrowed from both ends while its predecessors are beyond
-the limit, and a range that becomes empty ends the sweep. (The idea of a limit from a quick coupling is in Devogele et
-al., "Optimized discrete Fréchet distance between trajectories", BigSpatial 2017.)
+Only cells that can matter are filled. The coupling that goes along both curves evenly gives a limit from above; values
+never fall along a coupling, so none that leads to an answer within the limit has a cell beyond it. The range of rows
+taken on to the next diagonal is narrowed from both ends while its predecessors are beyond the limit, and a range that
+becomes empty ends the sweep. (The idea of a limit from a quick coupling is in Devogele et al., "Optimized discrete
+Fréchet distance between trajectories", BigSpatial 2017.)
 
-Every cell within the limit sees the same correctly rounded operations whatever the number of lanes, the bound and the
-range. So the bits of a distance do not depend on how it is computed: alone or in a batch, with or without a bound.
+Every cell within the limit sees the same correctly rounded operations whatever the number of lanes and the range. So
+the bits of a distance do not depend on how it is computed: alone or in a batch.
 
 Dynamic time warping is the time-normalised distance of Sakoe and Chiba ("Dynamic programming algorithm optimization for
 spoken word recognition", IEEE Transactions on Acoustics, Speech, and Signal Processing 26, 1978), symmetric form
@@ -41,7 +41,6 @@ from skd_evaluator.metrics.measures import Measure, Pair
 
 _CHUNK = 4  # values; diagonals are widened to multiples of it, as the processor takes that many at once
 _NARROW_EVERY = 4  # diagonals; less often costs cells, more often costs looks at their ends
-_SLACK = 1e-15, 1e-307  # relative and absolute, m²: more than what rounding can do to the square of a bound
 NOT_FINITE = -1.0  # an answer for bad input; no distance is negative
 
 
@@ -321,22 +320,18 @@ def _sweep(
 
 
 @kernel
-def measure(
-    p: FloatArray, flat: FloatArray, offsets: IntArray, order: IntArray, bound: float, most: int, out: FloatArray
-) -> None:
-    """Write to out[order] the distances of p to the curves of `order`, infinity for those above the bound.
+def measure(p: FloatArray, flat: FloatArray, offsets: IntArray, order: IntArray, most: int, out: FloatArray) -> None:
+    """Write to out[order] the distances of p to the curves of `order`.
 
     Args:
         p: n × d.
         flat: the points of all curves, one after the other; N × d.
         offsets: curve k is flat[offsets[k] : offsets[k + 1]].
         order: indices of the curves to take, those of like length together.
-        bound: 0 or more.
         most: number of curves that go through the table side by side.
         out: receives one value for each curve; only out[order] is written.
     """
     n = p.shape[0]
-    squared_bound = bound * bound * (1.0 + _SLACK[0]) + _SLACK[1]
     open_curves = np.empty_like(order)
     limits = np.empty(order.shape[0])
     left = 0
@@ -347,12 +342,10 @@ def measure(
         # Every coupling has the first link and the last.
         least = max(_squared_link(p, 0, q, 0), _squared_link(p, n - 1, q, m - 1))
         out[k] = least
-        if least > squared_bound:
-            continue
         limit = _even_coupling(p, q)
         if limit > least:
             open_curves[left] = k
-            limits[left] = min(limit, squared_bound)
+            limits[left] = limit
             left += 1
             longest = max(longest, m)
     if left > 0:
@@ -361,75 +354,64 @@ def measure(
             end = min(start + most, left)
             _sweep(p, flat, offsets, open_curves[start:end], limits[start:end], work, out)
     for k in order:
-        distance = np.sqrt(out[k])
-        out[k] = distance if distance <= bound else np.inf
+        out[k] = np.sqrt(out[k])
 
 
 @kernel
-def measure_one(p: FloatArray, q: FloatArray, bound: float) -> float:
-    """Return the distance of one pair, infinity above the bound, or NOT_FINITE."""
+def measure_one(p: FloatArray, q: FloatArray) -> float:
+    """Return the distance of one pair, or NOT_FINITE."""
     if not (all_finite(p) and all_finite(q)):
         return NOT_FINITE
     offsets = np.empty(2, np.int64)
     offsets[0] = 0
     offsets[1] = q.shape[0]
     out = np.empty(1)
-    measure(p, q, offsets, np.zeros(1, np.int64), bound, 1, out)
+    measure(p, q, offsets, np.zeros(1, np.int64), 1, out)
     return out[0]  # type: ignore[no-any-return]
 
 
 _LANES = 8  # curves side by side: of 1, 2, 4, 8 and 16 the best or nearly so from 40 to 1,000 points
 
 
-def discrete_frechet(p: npt.ArrayLike, q: npt.ArrayLike, *, bound: float = math.inf) -> float:
-    """Return the discrete Fréchet distance of two curves, or infinity if it is above the bound.
+def discrete_frechet(p: npt.ArrayLike, q: npt.ArrayLike) -> float:
+    """Return the discrete Fréchet distance of two curves.
 
-    A bound saves time: what cannot stay within it is left as soon as that is certain.
-    Distances are squared on the way, so coordinates should be between about 1e-150 and 1e150 in size.
+    Distances are squared first, so coordinates should be between about 1e-150 and 1e150 in size.
 
     Args:
         p: n × d points, n ≥ 1, d ≥ 1, finite.
         q: m × d points, m ≥ 1, finite.
-        bound: greatest distance of interest, 0 or more, in the unit of the points.
 
     Returns:
-        The distance, in the unit of the points, where it is at most the bound; else infinity.
+        The distance, in the unit of the points.
 
     Raises:
-        ValueError: an array is empty, is not n × d, or has a value that is not finite, or the two d differ; or the
-            bound is negative or NaN.
+        ValueError: an array is empty, is not n × d, or has a value that is not finite, or the two d differ.
     """
     first = _points(p, "p")
     second = _points(q, "q")
     if first.shape[1] != second.shape[1]:
         raise ValueError(f"p has {first.shape[1]} coordinates a point, q has {second.shape[1]}")
-    distance = measure_one(first, second, _checked(bound))
+    distance = measure_one(first, second)
     if distance == NOT_FINITE:
         raise ValueError(f"{'q' if all_finite(first) else 'p'} has a coordinate that is not finite")
     return distance
 
 
-def discrete_frechet_pairs(
-    reference: npt.ArrayLike,
-    others: Sequence[npt.ArrayLike] | FloatArray,
-    *,
-    bound: float = math.inf,
-) -> FloatArray:
+def discrete_frechet_pairs(reference: npt.ArrayLike, others: Sequence[npt.ArrayLike] | FloatArray) -> FloatArray:
     """Return the discrete Fréchet distances of many curves to one, the same bits as `discrete_frechet` gives.
 
     Args:
         reference: n × d points, n ≥ 1, d ≥ 1, finite.
         others: curves of m_k × d points each, m_k ≥ 1, finite; may be an empty list. Curves of one length may be one
             array, K × m × d, which is quicker to take in.
-        bound: greatest distance of interest, 0 or more, in the unit of the points.
 
     Returns:
-        One value per curve in `others`: the distance, in the unit of the points, or infinity if it is above the bound.
+        One value per curve in `others`: the distance, in the unit of the points.
 
     Raises:
         ValueError: as `discrete_frechet`; the message says which curve.
     """
-    limit = _checked(bound)
     first = _points(reference, "reference")
     if not all_finite(first):
         raise ValueError("reference has a coordinate that is not finite")
@@ -442,7 +424,7 @@ def discrete_frechet_pairs(
         raise ValueError(f"others[{bad}] has a coordinate that is not finite")
     offsets = np.zeros(lengths.size + 1, dtype=np.int64)
     np.cumsum(lengths, out=offsets[1:])
-    measure(first, flat, offsets, np.argsort(lengths, kind="stable"), limit, _LANES, out)
+    measure(first, flat, offsets, np.argsort(lengths, kind="stable"), _LANES, out)
     return out
 
 
@@ -460,12 +442,6 @@ def _joined(others: Sequence[npt.ArrayLike] | FloatArray, dimension: int) -> tup
             raise ValueError(f"reference has {dimension} coordinates a point, others[{k}] has {shape[1]}")
         lengths[k] = shape[0]
     return np.ascontiguousarray(np.concatenate(curves)) if curves else np.empty((0, dimension)), lengths
-
-
-def _checked(bound: float) -> float:
-    if not bound >= 0.0:
-        raise ValueError(f"bound must be 0 or more, got {bound}")
-    return float(bound)
 
 
 def _points(values: npt.ArrayLike, name: str) -> FloatArray:
