@@ -42,7 +42,7 @@ def compiled() -> None:
 
 @pytest.fixture(scope="session")
 def campaigns(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Campaign]:
-    """The same campaign at three multipliers, through the graph (recorded) and in process."""
+    """The same campaign at two multipliers, through the graph (recorded) and in process."""
     folder = tmp_path_factory.mktemp("campaigns")
     made = {}
     programs = []

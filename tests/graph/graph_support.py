@@ -29,7 +29,7 @@ from skd_sim.world.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
 CAMPAIGN = ("--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 4, "--seed", 5)
-MULTIPLIERS = (0.5, 1.0, 1.15)
+MULTIPLIERS = (0.5, 1.0)
 
 
 @dataclass(frozen=True)

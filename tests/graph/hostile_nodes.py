@@ -21,7 +21,7 @@ class Hostile(Node):
     def __init__(self, kind: str) -> None:
         super().__init__(f"hostile_{kind}")
         self._kind = kind
-        topic = {"elsewhere": "/brake", "patient": "/adversary/velocity_command"}.get(kind, COMMANDS)
+        topic = {"patient": "/adversary/velocity_command"}.get(kind, COMMANDS)
         self._type = TwistStamped if kind == "patient" else AccelStamped
         self._publisher = self.create_publisher(self._type, topic, 10)
         self._heard = 0

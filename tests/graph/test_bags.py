@@ -190,14 +190,14 @@ def test_two_campaigns_and_the_choice_between_them(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    both = campaigns[0.5].bags, campaigns[1.15].bags
+    both = campaigns[0.5].bags, campaigns[1.0].bags
     line = refused(*both)
     assert "2 campaigns" in line
     assert "--campaign" in line
     assert "no-such" in refused(*both, "--campaign", "no-such")
     names = line.split(": ")[-1].split(", ")
     assert len(names) == 2
-    for name, live in zip(sorted(names), (campaigns[0.5], campaigns[1.15]), strict=True):
+    for name, live in zip(sorted(names), (campaigns[0.5], campaigns[1.0]), strict=True):
         out = tmp_path / name
         assert skd_here(capsys, "replay", *both, "--campaign", name, "--out", out).code == 0
         assert_same_results(out, live.graph)

@@ -36,16 +36,9 @@ class Vendor:
 def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None:
     """With its own control period too: the motion is that of the same law in process, to the last bit."""
     run = ("episode", "--mode", "replay", "--safe", safe, "--controller", "external", "--controller-command", NODE)
-    wrong = skd(*run, *VENDOR, "-p", "command_field:=longitudinal.brake", "--out", tmp_path / "wrong")
-    assert wrong.code == 2
-    assert wrong.lines[-1] == (
-        "skd episode: error: there is no number longitudinal.brake in vendor_control_msgs/msg/Control; its numbers are "
-        "longitudinal.velocity, longitudinal.acceleration, longitudinal.gains[0]"
-    )
     field = ("-p", "command_field:=longitudinal.acceleration")
     done = skd(*run, *VENDOR, *field, "-p", "control_period:=0.1", "--out", tmp_path / "out")
     assert done.code == 0, done.err
-    assert "building messages" not in done.err  # once is enough
     (found,) = read_episodes([tmp_path / "out"])
     assert found.log.episode.scenario.control_periods == 3
     plain = run_episode(dataclasses.replace(found.log.episode, controller="basic"), Vendor())

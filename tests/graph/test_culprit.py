@@ -25,7 +25,7 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
 
 def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     """It says what it waits for, once, and does not wait for hours."""
-    finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=2.0)
+    finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=1.0)
     assert finished.code == 1
     assert finished.lines[0].startswith("skd: waiting for a publisher of /ego/acceleration_command (ROS_DOMAIN_ID=")
     first, last = finished.timeless[1:]

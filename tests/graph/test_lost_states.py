@@ -16,8 +16,6 @@ from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
 from skd_sim.world.state import CarState
 
-"""The car's decisions in a tick: an episode of nine ticks has some 800 states."""
-
 
 @contextmanager
 def graph(context: ForkServerContext, domain: int, folder: Path) -> Iterator[Evaluator]:

@@ -33,7 +33,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 
 
 def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: EpisodeSpec) -> None:
-    rate = 4.0
+    rate = 8.0
     options = GraphOptions(pacing="real_time", rate_factor=rate, slip_limit=PATIENCE)
     with whole_graph(tmp_path, options, record_to=tmp_path / "bags") as (node, _):
         node.run_episode(replay)  # includes the nodes' start

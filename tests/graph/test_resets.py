@@ -141,7 +141,7 @@ def test_a_node_that_is_not_there(brake: Any) -> None:
     with managed(1.0, "/latching_break") as nodes:
         assert nodes.before_episode() == (
             "not started: /latching_break, a managed node of the car controller, is not there: nobody offers "
-            f"/latching_break/get_state, managed nodes there are {NAME} (waited 1 s)"
+            "/latching_break/get_state (waited 1 s)"
         )
 
 
@@ -183,7 +183,7 @@ def test_a_domain_in_which_any_port_is_held_is_not_free(port: int) -> None:
 def test_graphs_side_by_side(tmp_path: Path, replay: EpisodeSpec) -> None:
     """Which graph runs an episode, and that its controller is a new one each time, changes nothing."""
     options = GraphOptions(graphs=2, reset="restart")
-    wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(5)]
+    wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(3)]
     bags = tmp_path / "bags"
     with whole_graph(tmp_path, options, record_to=bags) as (pool, token):
         logs = [*pool.run(wanted[:1]), *pool.run(wanted[1:])]

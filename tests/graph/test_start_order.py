@@ -115,7 +115,7 @@ def test_restarted_between_episodes(tmp_path: Path, episode: EpisodeSpec, expect
         assert_same_log(evaluator.run_episode(episode), expected)
         for node in ("car_controller", "adversary", "vehicle_simulator"):
             kill(of_node(token, node), signal.SIGKILL)
-            assert_same_log(evaluator.run_episode(episode), expected)
+        assert_same_log(evaluator.run_episode(episode), expected)
 
 
 def test_somebody_elses_controller_comes_and_goes(

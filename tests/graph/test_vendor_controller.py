@@ -43,22 +43,23 @@ def start(line: str, checkout: Path, **environment: str) -> Program:
     return Program(["bash", "-c", f"cd {shlex.quote(str(checkout))} && exec {line}"], chosen)
 
 
-def test_marked_commands(checkout, small_lesson, monkeypatch, capsys):
-    """The first one in this process, where its car is learned from little; the others do not learn it once more."""
-    learning, *lines = [line for block in marked("run") for line in block]
-    assert len(lines) == 3
-    program, *words = shlex.split(learning)
+def test_marked_commands(checkout, monkeypatch, capsys):
+    """The first one in this process; none learns the car, and the one in real time has a margin, too."""
+    first, *lines = [line for block in marked("run") for line in block]
+    assert len(lines) == 2
+    small = ("--knowledge", "nothing", "--behaviour", "none", "--objective", "deviation")
+    program, *words = shlex.split(first)
     assert program == "scripts/skd"
     monkeypatch.chdir(checkout)
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     with in_domain(new_domain(), token := uuid.uuid4().hex):
-        finished = skd_here(capsys, *words, "--margin-limit", 0, "--behaviour", "none")
+        finished = skd_here(capsys, *words, *small, "--margin-limit", 0)
     assert_all_gone(token)
     assert finished.code == 0, finished.err
-    assert len(list(small_lesson.iterdir())) == 1
     for line in lines:
-        shorter = line.replace("--safe-count", "--knowledge nothing --margin-limit 0 --behaviour none --safe-count")
-        if "real_time" in line:  # which is run twice more at that pace
+        limit = 128 if "real_time" in line else 0
+        shorter = line.replace("--safe-count", f"{shlex.join(small)} --margin-limit {limit} --safe-count")
+        if "real_time" in line:
             shorter = re.sub(
                 "--safe-count .* --out", "--safe-count 1 --kamikaze-count 1 --collision-runs 1 --out", shorter
             )
@@ -68,12 +69,14 @@ def test_marked_commands(checkout, small_lesson, monkeypatch, capsys):
     results = {
         path.parent.name: json.loads(path.read_text()) for path in checkout.glob("skd_results/*/assessment.json")
     }
-    assert set(results) == {"vendor", "short", "real_time", "replayed"}
+    assert set(results) == {"vendor", "real_time", "replayed"}
     for name, result in results.items():
         assert result["controller"] == "external"
         assert math.isfinite(result["skd"]), name
         assert result["aborted"] == 0, name
     assert results["vendor"]["pairs"] == 10
+    assert results["real_time"]["margin"] is not None
+    assert not results["real_time"]["margin_converged"]
     left = {
         key: results["replayed"][key] for key in ("skd", "skd_ci95_pairs", "skd_prefix", "variance", "contact_rate")
     }

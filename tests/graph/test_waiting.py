@@ -159,10 +159,16 @@ def test_a_managed_node_may_not_be_active(graph: Graph) -> None:
 def test_nobody_is_there(graph: Graph) -> None:
     graph.stack.destroy_node()
     wait_until(lambda: diagnose(Evidence(graph.watcher, COMMANDS, START)).cause == "not there")
+    walks = Awaited("/adversary/velocity_command", "geometry_msgs/msg/TwistStamped")
+    assert diagnose(Evidence(graph.watcher, walks, START)).cause == "no adversary"
 
 
 def test_every_cause_is_tried() -> None:
-    assert {one.name for one in CAUSES} == {name.strip() for name in FAULTS} | {"not active", "not there"}
+    assert {one.name for one in CAUSES} == {name.strip() for name in FAULTS} | {
+        "not active",
+        "not there",
+        "no adversary",
+    }
     assert len(CAUSES) >= 15
 
 
@@ -176,7 +182,7 @@ def test_with_a_quiet_time_any_of_these_stamps_is_an_answer(graph: Graph, newest
 @pytest.mark.parametrize("certain", [True, False])
 def test_a_wait_in_vain_is_given_up(graph: Graph, monkeypatch: pytest.MonkeyPatch, certain: bool) -> None:
     """And any wait is explained; times are shorter here, in the same proportion."""
-    for name in ("_LOOK_EVERY", "_SAY_AFTER", "_SAY_AGAIN", "_CERTAIN_AFTER"):
+    for name in ("_LOOK_EVERY", "_SAY_AFTER", "_HINT_AFTER", "_SAY_AGAIN", "_CERTAIN_AFTER"):
         monkeypatch.setattr(stack_module, name, 0.1 * getattr(stack_module, name))
     publisher = COMMANDS_IT(graph.stack)
     lines: list[str] = []
@@ -207,7 +213,7 @@ def test_a_wait_in_vain_is_given_up(graph: Graph, monkeypatch: pytest.MonkeyPatc
 
 def test_a_simulator_that_is_not_there_is_named(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stack_module, "_LOOK_EVERY", 0.0)
-    monkeypatch.setattr(stack_module, "_SAY_AFTER", 0.0)
+    monkeypatch.setattr(stack_module, "_HINT_AFTER", 0.0)
     lines: list[str] = []
     commands = FirstCommands(graph.stack, [COMMANDS], lines.append)
     graph.watcher.destroy_node()

@@ -33,7 +33,7 @@ from skd_sim.ros.support import (
 )
 from skd_sim.ros.to_messages import to_stamp
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
-from skd_sim.world.timing import period_stamp, tick_stamp
+from skd_sim.world.timing import tick_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
@@ -157,35 +157,24 @@ class BagRecorder:
             result: its result.
             listen: takes messages that come within this time, s.
         """
-        start, step, periods = self._key.start, episode.scenario.time_step, episode.scenario.control_periods
-        states = {tick_stamp(start, tick, step) for tick in range(result.ticks + 1)}
-        commands = {tick_stamp(start, tick, step) for tick in range(result.ticks)}
-        between = {  # of the last tick there may be none: nobody decides after a contact
-            period_stamp(start, tick, period, periods, step)
-            for tick in range(result.ticks - 1)
-            for period in range(1, periods)
-        }
-        wanted = {CLOCK: states | between, self._walk_topic: commands, self._drive_topic: commands | between}
-        answers = [self._drive_topic]
-        if self._own_world:  # another simulator need not publish any
-            applied = recorded_name(self._node, COMMAND)
-            answers.append(applied)
-            wanted |= {TF: states | between, applied: commands | between}
-        odometry, of_adversary = (recorded_name(self._node, one) for one in (EGO_ODOMETRY, ADVERSARY_ODOMETRY))
-        of_states = {odometry: states, of_adversary: states}
-        last = range(tick_stamp(start, result.ticks - 1, step) + 1, tick_stamp(start, result.ticks, step))
-        heard: dict[str, set[int]] = {topic: set() for topic in (*wanted, *of_states)}
-        begin, checked = time.monotonic(), 0
-        while True:
-            for message in self._messages[checked:]:
-                if message.topic in heard:
-                    heard[message.topic].add(message.stamp)
-            checked = len(self._messages)
-            # A state within the last tick was followed by another one, so the car has answered it.
-            for topic in answers:
-                wanted[topic].update(stamp for stamp in heard[odometry] if stamp in last)
-            whole = all(stamps <= heard[topic] for topic, stamps in of_states.items())
-            if whole and all(stamps <= heard[topic] for topic, stamps in wanted.items()):
+        step, begin = episode.scenario.time_step, time.monotonic()
+        last, decided = (tick_stamp(self._key.start, tick, step) for tick in (result.ticks, result.ticks - 1))
+        odometry, of_adversary, applied = (
+            recorded_name(self._node, one) for one in (EGO_ODOMETRY, ADVERSARY_ODOMETRY, COMMAND)
+        )
+        while True:  # messages of a topic come in order: where the last one is there, all are
+            latest = dict.fromkeys((odometry, of_adversary, CLOCK, TF, applied), 0)
+            latest |= {self._walk_topic: 0, self._drive_topic: 0}
+            answered = decided
+            for kept in self._messages:
+                latest[kept.topic] = max(latest.get(kept.topic, 0), kept.stamp)
+                if kept.topic == odometry and kept.stamp < last:  # another one followed, so the car has answered it
+                    answered = max(answered, kept.stamp)
+            whole = min(latest[odometry], latest[of_adversary]) >= last
+            others = latest[CLOCK] >= last and latest[self._walk_topic] >= decided
+            if self._own_world:  # another simulator need not publish any
+                others &= latest[TF] >= last and latest[applied] >= answered
+            if whole and others and latest[self._drive_topic] >= answered:
                 return
             if time.monotonic() > begin + (self._patience if whole else max(self._patience, _STATES)):
                 return

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from typing import Any
 
@@ -133,43 +133,34 @@ class LifecycleNodes:
         while True:
             answer = self._answer(name, self._change[name], request, latest)
             if answer is not None and not answer.success:
-                state = self._state(name).label
-                raise _TroubleError(
-                    _reason(AbortKind.FAILED, name, f"did not {_CALLED[transition]}; it is {state} now")
-                )
+                what = f"did not {_CALLED[transition]}; it is {self._state(name).label} now"
+                raise _TroubleError(_reason(AbortKind.FAILED, name, what))
             if answer is not None or self._settled(name) != before:
                 return
 
     def _state(self, name: str) -> Any:
         latest = self._latest()
-        while True:
-            answer = self._answer(name, self._get[name], GetState.Request(), latest)
-            if answer is not None:
-                return answer.current_state
+        while (answer := self._answer(name, self._get[name], GetState.Request(), latest)) is None:
+            pass
+        return answer.current_state
 
     def _answer(self, name: str, client: Any, request: Any, latest: float) -> Any:
         """Return a service's answer, or None where it seems to be lost."""
         while not client.service_is_ready():
-            self._look_after(latest, name, f"is not there: nobody offers {client.srv_name}{self._others()}")
+            self._look_after(latest, AbortKind.NOT_STARTED, name, f"is not there: nobody offers {client.srv_name}")
             self._executor.spin_once(timeout_sec=_WAKE)
         future, lost = client.call_async(request), time.monotonic() + _LOST_AFTER
         while not future.done() and time.monotonic() < lost:
-            self._look_after(latest, name, f"does not answer on {client.srv_name}")
+            self._look_after(latest, AbortKind.NO_ANSWER, name, f"does not answer on {client.srv_name}")
             self._executor.spin_until_future_complete(future, timeout_sec=_WAKE)
         return future.result() if future.done() else None
 
-    def _look_after(self, latest: float, name: str, otherwise: str) -> None:
+    def _look_after(self, latest: float, kind: AbortKind, name: str, otherwise: str) -> None:
         problem = self._check_processes()
+        if problem is None and time.monotonic() > latest:
+            problem = _reason(kind, name, f"{otherwise} (waited {self._patience:g} s)")
         if problem is not None:
             raise _TroubleError(problem)
-        if time.monotonic() > latest:
-            kind = AbortKind.NO_ANSWER if self._get[name].service_is_ready() else AbortKind.NOT_STARTED
-            raise _TroubleError(_reason(kind, name, f"{otherwise} (waited {self._patience:g} s)"))
-
-    def _others(self) -> str:
-        """Return which managed nodes there are, for one whose name is not among them."""
-        found = [name for name in _managed(self._node.get_service_names_and_types()) if name not in self._names]
-        return f", managed nodes there are {', '.join(found)}" if found else ""
 
 
 @contextmanager
@@ -188,18 +179,13 @@ def resetting(
         yield nodes.before_episode
 
 
-def _managed(services: Iterable[tuple[str, Sequence[str]]]) -> list[str]:
-    kind = "lifecycle_msgs/srv/GetState"
-    return sorted(service.removesuffix("/get_state") for service, kinds in services if kind in kinds)
-
-
 def _reason(kind: AbortKind, name: str, what: str) -> str:
     return abort_reason(kind, f"{name}, a managed node of the car controller, {what}")
 
 
 _LOOK_EVERY = 1.0  # s
-_SAY_AFTER, _SAY_AGAIN = 3.0, 30.0
-"""s of waiting after which a line is said, and said again where nothing has changed."""
+_SAY_AFTER, _HINT_AFTER, _SAY_AGAIN = 3.0, 8.0, 30.0
+"""s of waiting after which a certain cause is said, and any other, and said again where nothing has changed."""
 _CERTAIN_AFTER = 4.0
 """s for which the same certain cause has been seen, in the same nodes, until a wait is given up."""
 _ANY = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -265,7 +251,10 @@ class FirstCommands:
             publishers = living_publishers(self._node, topic)
             why = f"{publishers[0].name} is there and says nothing" if publishers else f"nobody publishes on {topic}"
             self.reasons, causes = [f"{topic}: {why}: vehicle_simulator is to publish it"], [(topic, "")]
-        if waited >= _SAY_AFTER and (causes != self._causes or waited - self._said >= _SAY_AGAIN):
+        certain_one = any(one.certain for _, one in diagnoses)
+        if waited >= (_SAY_AFTER if certain_one else _HINT_AFTER) and (
+            causes != self._causes or waited - self._said >= _SAY_AGAIN
+        ):
             self._causes, self._said = causes, waited
             for reason in self.reasons:
                 topic, _, why = reason.partition(": ")

@@ -180,6 +180,11 @@ def diagnose(evidence: Evidence) -> Diagnosis:
     return next(Diagnosis(one.name, one.certain, text) for one, text in found if text)
 
 
+def _no_adversary(seen: Evidence) -> str | None:
+    topic = seen.awaited.topic
+    return None if seen.publishers or topic != seen.full(VELOCITY_COMMAND) else f"nobody publishes on {topic}"
+
+
 def _type(seen: Evidence) -> str | None:
     if not seen.publishers or any(one.kind == seen.awaited.kind for one in seen.publishers):
         return None
@@ -284,7 +289,7 @@ def _not_active(seen: Evidence) -> str | None:
 
 
 def _elsewhere(seen: Evidence) -> str | None:
-    if seen.publishers or not seen.candidates or seen.awaited.topic == seen.full(VELOCITY_COMMAND):
+    if seen.publishers or not seen.candidates:
         return None
     name, publisher = seen.candidates[0]
     come = "messages of {} arrive on {}" if seen.has_come(name) else "{} publishes on {}"
@@ -351,6 +356,7 @@ def _nobody(seen: Evidence) -> str:
 
 
 CAUSES = (
+    Cause("no adversary", False, _no_adversary),
     Cause("wrong type", True, _type),
     Cause("quality of service", True, _qos_of_publisher),
     Cause("wrong type of subscription", True, _type_of_subscription),
