@@ -17,8 +17,9 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.search.candidates import ActionSpace
 from skd_evaluator.margin.search.group import OTHER, SOURCES, Brought, Group
-from skd_evaluator.margin.search.trial import ActionSpace, Trial
+from skd_evaluator.margin.search.trial import Trial
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess, Search
 

@@ -1,0 +1,180 @@
+"""Candidates of the search for a margin: sequences of the road user's actions, and where they lead.
+
+Where a candidate leads and how far it deviates from φ is known without the car.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from skd_adversary.crossing.model import RoadUserMotion
+from skd_adversary.crossing.path import path_velocities
+from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
+from skd_sim.arrays import BoolArray, FloatArray, IntArray
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import Scenario
+
+from skd_evaluator.margin.actions import velocities
+
+ENOUGH = 1e-9
+"""m: a trajectory that deviates less is φ itself."""
+
+
+class Candidate(NamedTuple):
+    """A sequence of actions, and where it leads.
+
+    Attributes:
+        actions: number of the action in each tick.
+        positions: of the road user at each tick, (ticks + 1) × 2, m.
+        deviations: greatest distance from φ up to each tick, m.
+        reached: the last tick, up to each one, in which the road user is where the car may drive; −1: there is none.
+    """
+
+    actions: IntArray
+    positions: FloatArray
+    deviations: FloatArray
+    reached: IntArray
+
+    def last_tick(self, bound: float) -> int:
+        """Return the last tick in which it can be hit with a deviation below a bound (m); −1: in none."""
+        ticks = int(self.deviations[:-1].searchsorted(bound))
+        return int(self.reached[ticks - 1]) if ticks else -1
+
+
+class ActionSpace:
+    """What the trials of one φ have in common: where sequences of actions lead.
+
+    Attributes:
+        scenario: the scenario.
+        ticks: number of ticks of a sequence.
+        path: φ, n × 2, m.
+        phi: positions of φ at ticks 0 … ticks, held at its end, m.
+        as_phi: number of the action "as φ".
+        action_count: how many actions there are in a tick.
+        table: velocities of the actions in each tick, ticks × actions × 2, m/s; None: they depend on the road user's
+            state.
+    """
+
+    def __init__(self, scenario: Scenario, path: FloatArray) -> None:
+        """Prepare a φ, n × 2, m."""
+        self.scenario, self.path = scenario, np.ascontiguousarray(path, dtype=np.float64)
+        self.ticks = ticks = scenario.ticks
+        self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
+        user = road_user_named(scenario.adversary.kind)
+        self._motion = RoadUserMotion(user, scenario, self.path)
+        self._wanted = path_velocities(self.path, ticks, scenario.time_step).tolist()
+        self.table: FloatArray | None = None
+        if user is PEDESTRIAN:
+            self.table = np.array([velocities(scenario, self.path, tick) for tick in range(ticks)])
+        self.action_count = len(velocities(scenario, self.path, 0, self.path[:1]))
+        self.as_phi = AS_PHI if user is PEDESTRIAN else self.action_count - 1
+
+    def candidates(self, sequences: IntArray) -> list[Candidate]:
+        """Return where sequences of actions lead, n × ticks."""
+        step = self.scenario.time_step
+        if self.table is None:
+            positions = np.array([self._moved(one) for one in sequences])
+        else:
+            moved = np.cumsum(step * self.table[np.arange(self.ticks), sequences], axis=1)
+            positions = self.path[0] + np.concatenate([np.zeros((len(sequences), 1, 2)), moved], axis=1)
+        away = positions - self.phi
+        deviations = np.maximum.accumulate(np.hypot(away[..., 0], away[..., 1]), axis=1)
+        reached = np.maximum.accumulate(np.where(self._reaches(positions), np.arange(self.ticks), -1), axis=1)
+        return list(map(Candidate, sequences, positions, deviations, reached))
+
+    def candidate(self, actions: IntArray) -> Candidate:
+        """Return where a sequence of actions leads."""
+        return self.candidates(actions[None])[0]
+
+    def _moved(self, actions: IntArray) -> FloatArray:
+        """Return where a road user with a state of its own goes, positions at ticks, m."""
+        step, motion = self.scenario.time_step, self._motion
+        motion.begin()
+        x, y = self.path[0].tolist()
+        found = [(x, y)]
+        for action, (vx, vy) in zip(actions.tolist(), self._wanted, strict=True):
+            if action == self.as_phi:
+                vx, vy = motion.nearest(vx, vy)
+            else:
+                vx, vy = motion.velocity(action)
+            motion.move(vx, vy)
+            x, y = x + step * vx, y + step * vy
+            found.append((x, y))
+        return np.array(found)
+
+    def _reaches(self, positions: FloatArray) -> BoolArray:
+        """Return whether the car may drive where the road user is, in each tick of positions, n × (ticks + 1) × 2."""
+        if self.scenario.others:
+            return np.ones((len(positions), self.ticks), dtype=bool)
+        road, (low, high, first, last) = self.scenario.road, self.scenario.end.loss
+        place = positions if road.straight else right_and_along(road.line, positions.reshape(-1, 2))
+        across, along = place.reshape(positions.shape)[..., 0], place.reshape(positions.shape)[..., 1]
+        inside = np.abs(across) <= self.scenario.car.half_width + self.scenario.adversary.reach
+        lost = (low < across) & (across < high) & (first < along) & (along < last)
+        over = np.logical_or.accumulate(lost, axis=1)  # it cannot meet the car any more
+        touched = inside[:, :-1] | inside[:, 1:] | (across[:, :-1] * across[:, 1:] < 0.0)
+        reached: BoolArray = touched & ~over[:, :-1]
+        return reached
+
+    def actions_along(self, positions: FloatArray) -> IntArray:
+        """Return the actions that come nearest to a trajectory, positions at ticks, n × 2, m; as φ after its end."""
+        found = np.full(self.ticks, self.as_phi, np.int64)
+        walked = self.path[:1]
+        for tick, target in enumerate(positions[1 : self.ticks + 1]):
+            moves = velocities(self.scenario, self.path, tick, walked) if self.table is None else self.table[tick]
+            step = self.scenario.time_step * moves
+            if tick == len(positions) - 2:  # cut at the contact: its direction counts
+                own = target - walked[-1]
+                along = step @ own / max(float(np.hypot(*own)), ENOUGH)
+                found[tick] = int(np.argmax(along - np.abs(np.hypot(*step.T) - along)))
+            else:
+                found[tick] = int(np.argmin(np.hypot(*(walked[-1] + step - target).T)))
+            walked = np.concatenate([walked, walked[-1:] + step[found[tick]]])
+        return found
+
+
+def excursion(rng: np.random.Generator, ticks: int, end: int, as_phi: int, action_count: int) -> IntArray:
+    """Return a sequence that follows φ up to a tick, takes an action for some ticks, and another or φ from then on."""
+    found = np.full(ticks, as_phi, np.int64)
+    leaves = int(rng.integers(end))
+    first, second = int(rng.integers(action_count)), int(rng.integers(action_count))
+    back = leaves + int(rng.choice((1, 2, 3, 4, 6, 8)))
+    again = back + int(rng.choice((0, 0, 1, 2, 4, ticks)))
+    found[leaves:back] = first
+    found[back:again] = second
+    return found
+
+
+def changed(
+    rng: np.random.Generator, actions: IntArray, tick: int, others: Sequence[IntArray], as_phi: int, action_count: int
+) -> IntArray:
+    """Return a sequence with one or two small changes before a tick, or with the end of another one.
+
+    Args:
+        rng: draws the changes.
+        actions: the sequence.
+        tick: after which changes hardly matter: that of its contact.
+        others: sequences of other trials, at least one.
+        as_phi: number of the action "as φ".
+        action_count: how many actions there are.
+    """
+    found, ticks = actions.copy(), len(actions)
+    end = min(ticks, tick + 2)
+    for _ in range(2 if rng.random() < 0.4 else 1):
+        at, length = int(rng.integers(end)), 1 + int(rng.integers(4))
+        kind = int(rng.integers(6))
+        if kind <= 1:
+            found[at : at + length] = rng.integers(action_count)
+        elif kind == 2:
+            found[at : at + length] = as_phi
+        elif kind == 3:
+            found[at + 1 :] = found[at:-1].copy()
+            if rng.random() < 0.5:
+                found[at] = rng.integers(action_count)
+        elif kind == 4:
+            found[at:-1] = found[at + 1 :].copy()
+        else:
+            found[at:] = others[int(rng.integers(len(others)))][at:]
+    return found
