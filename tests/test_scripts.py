@@ -50,11 +50,6 @@ def make_environment(copy: Path, name: str) -> None:
     (copy / name / ".skd-run").write_text(stamp)
 
 
-@pytest.mark.parametrize("name", ["skd", "test", "docs"])
-def test_scripts_are_executable(name):
-    assert os.access(ROOT / "scripts" / name, os.X_OK)
-
-
 def test_skd_runs_where_the_environment_exists(copy):
     make_environment(copy, ".venv")
     before = sorted(path.name for path in copy.iterdir())
@@ -101,15 +96,6 @@ def test_unsuitable_python_is_refused(copy, python):
     assert done.stdout == ""
     assert done.stderr == f"skd: no Python 3.11 to 3.13 found (looked for: {python}); set SKD_PYTHON to one\n"
     assert not (copy / ".venv").exists()
-
-
-def test_old_python_is_refused(copy):
-    old = copy / "python3.10"
-    old.write_text("#!/bin/sh\nexit 1\n")  # what an interpreter of another version answers to the question
-    old.chmod(0o755)
-    done = run(copy, "skd", SKD_PYTHON=str(old))
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
 
 
 def test_environment_that_runs_is_not_made_anew(copy):

@@ -72,10 +72,6 @@ def test_it_follows_who_is_ahead_on_the_lane_or_a_metre_beside_it(car, side):
     assert asked(car, -15.0, 0.0) == free
 
 
-def test_it_asks_for_no_more_than_its_library_allows(car):
-    assert asked(car, 3.0, 0.0) == -IDMVehicle.ACC_MAX
-
-
 def test_in_an_episode_it_stops_before_who_stands_on_the_lane():
     scenario = with_control_period(replace(CROSSING, horizon=6.0), HighwayIdm.control_period, "highway_idm")
     standing = Trajectory(np.tile([-1.0, 4.0], (21, 1)), scenario.time_step, "standing")

@@ -97,13 +97,3 @@ def test_its_scooter_rides_by_its_own_limits(site: Path, tmp_path: Path, monkeyp
     assert strayed >= 3
     assert sum(hit for *_, hit in rides) >= 3
     assert min(changes) == pytest.approx(-3.5, abs=1e-6) or max(changes) == pytest.approx(0.8, abs=1e-6)
-
-
-def test_skd_itself_does_not_know_them(tmp_path: Path) -> None:
-    """What was found above is the package's doing."""
-    done = python("from skd_sim import load_scenario; load_scenario('roundabout_exit')", tmp_path, tmp_path)
-    assert done.returncode != 0
-    assert "roundabout_exit" in done.stderr.splitlines()[-1]
-    own = [*ROOT.glob("ros_ws/src/**/*.py"), *ROOT.glob("ros_ws/src/**/*.yaml")]
-    assert own
-    assert not [path for path in own if "rental" in path.read_text(encoding="utf-8")]

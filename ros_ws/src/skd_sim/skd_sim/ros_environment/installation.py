@@ -354,17 +354,8 @@ def _copy(package: MessagePackage, place: Path) -> MessagePackage:
     return MessagePackage(folder)
 
 
-@dataclass(frozen=True)
-class Compiler:
-    """Commands of a C and a C++ compiler, and CMake's variables for the tools beside them."""
-
-    c: str
-    cpp: str
-    tools: tuple[str, ...] = ()
-
-
-def find_compiler() -> Compiler | None:
-    """Return the machine's compiler ($CC and $CXX, or what is on the PATH); none where there is none.
+def find_compiler() -> list[str] | None:
+    """Return CMake's options for the machine's compiler ($CC and $CXX, or what is on the PATH); none without one.
 
     Raises:
         UsageError: Python's headers are missing, without which no compiler helps.
@@ -378,19 +369,18 @@ def find_compiler() -> Compiler | None:
         )
     c = next(filter(shutil.which, filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))), None)
     cpp = next(filter(shutil.which, filter(None, (os.environ.get("CXX"), "c++", "g++", "clang++"))), None)
-    return Compiler(c, cpp) if c and cpp else None
+    return [f"-DCMAKE_C_COMPILER={c}", f"-DCMAKE_CXX_COMPILER={cpp}"] if c and cpp else None
 
 
-def _zig(folder: Path) -> Compiler:
-    """Return the compiler that the wheel `ziglang` holds; CMake wants each tool as a program of its own."""
-    programs = {}
-    for name in ("cc", "c++", "ar", "ranlib"):
+def _zig(folder: Path) -> list[str]:
+    """Return CMake's options for the compiler that the wheel `ziglang` holds: each tool is a program of its own."""
+    options = []
+    for name, variable in (("cc", "C_COMPILER"), ("c++", "CXX_COMPILER"), ("ar", "AR"), ("ranlib", "RANLIB")):
         program = folder / f"zig-{name}"
         program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ziglang {name} "$@"\n', encoding="utf-8")
         program.chmod(0o755)
-        programs[name] = str(program)
-    tools = (f"-DCMAKE_AR={programs['ar']}", f"-DCMAKE_RANLIB={programs['ranlib']}")
-    return Compiler(programs["cc"], programs["c++"], tools)
+        options.append(f"-DCMAKE_{variable}={program}")
+    return options
 
 
 def cmake_prefix(folder: Path) -> Path:
@@ -416,13 +406,13 @@ def cmake_prefix(folder: Path) -> Path:
     return folder
 
 
-def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None, target: Path, log: Path) -> None:
+def build_messages(packages: Sequence[MessagePackage], compiler: list[str] | None, target: Path, log: Path) -> None:
     """Build packages of messages with what rclpy needs of them, and install them.
 
     Args:
         packages: packages to build; none may depend on another one of them, but each may depend on what is in `target`
             already.
-        compiler: the compiler; None: that of the wheel `ziglang`.
+        compiler: CMake's options for it; None: that of the wheel `ziglang`.
         target: prefix to install into.
         log: file for what the tools print.
 
@@ -437,7 +427,6 @@ def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None
         for package in packages:
             shutil.copytree(package.folder, source / package.name)
             shutil.copy(_HERE / "package.cmake", source / package.name / "CMakeLists.txt")
-        chosen = compiler or _zig(tools)
         cmake_prefix(prefix)
         environment = node_variables(os.environ)
         environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment.get("PATH", os.defpath)])
@@ -446,18 +435,14 @@ def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None
             "CMAKE_BUILD_TYPE": "Release",
             "CMAKE_INSTALL_PREFIX": str(target),
             "CMAKE_PREFIX_PATH": str(prefix) if target == Path(sys.prefix) else f"{prefix};{target}",
-            "CMAKE_C_COMPILER": chosen.c,
-            "CMAKE_CXX_COMPILER": chosen.cpp,
             "Python3_EXECUTABLE": sys.executable,
             "BUILD_TESTING": "OFF",
             "SKD_PACKAGES": ";".join(package.name for package in packages),
             "SKD_DEPENDENCIES": ";".join(sorted({name for package in packages for name in package.dependencies()})),
         }
-        for package in packages:
-            definitions[f"SKD_DEPENDENCIES_OF_{package.name}"] = ";".join(package.dependencies())
-        options = [f"-D{name}={value}" for name, value in definitions.items()]
-        cmake = ["cmake", "-G", "Ninja", "-S", str(source), "-B", str(build), *options, *chosen.tools]
-        run(cmake, log, environment)
+        definitions |= {f"SKD_DEPENDENCIES_OF_{one.name}": ";".join(one.dependencies()) for one in packages}
+        options = [*(f"-D{name}={value}" for name, value in definitions.items()), *(compiler or _zig(tools))]
+        run(["cmake", "-G", "Ninja", "-S", str(source), "-B", str(build), *options], log, environment)
         run(["cmake", "--build", str(build)], log, environment)
         for package in packages:
             _remove_messages(package.name, target)
