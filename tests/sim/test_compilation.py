@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -191,6 +192,16 @@ def test_what_cannot_be_told_apart_is_not_kept():
 
 
 # --- the folder
+
+
+def test_first_runs_at_once_neither_disturb_each_other_nor_differ(mine):
+    with ThreadPoolExecutor(3) as pool:
+        answers = list(pool.map(answer, [mine] * 3))
+    assert answers == [answers[0]] * 3
+    left = kept(mine)
+    assert answer(mine) == pytest.approx(139.24)
+    assert kept(mine) == left
+    assert all(name.endswith(".kernel") and not name.startswith(".") for name in left)
 
 
 def test_a_cache_that_cannot_be_written_costs_time_only(mine):
