@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -140,7 +139,7 @@ def test_a_gate_takes_lengths_at_their_worst() -> None:
 
 
 def in_pytest(figures: dict[str, Any]) -> Assessed:
-    return Assessed(SimpleNamespace(as_dict=lambda: figures), Path("r"))  # type: ignore[arg-type]
+    return Assessed(figures, Path("r"))
 
 
 def test_in_pytest_a_comparison_that_hangs_on_aborted_episodes_is_an_error() -> None:

@@ -23,7 +23,7 @@ from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin import common_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.pytest_plugin import Assessed, Skd
+from skd_evaluator.pytest_plugin import Assessed, Assessor
 from skd_sim.scenario.scenario import load_scenario
 
 CONFTEST = """
@@ -92,7 +92,7 @@ def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path
     path = tmp_path / "longer" / "assessment.json"
     figures = json.loads(path.read_text())
     path.write_text(json.dumps({**figures, "scenario": {**figures["scenario"], "horizon": 99.0}}))
-    mine = Assessed(SimpleNamespace(as_dict=dict), better)
+    mine = Assessed({}, better)
     assert not mine.is_worse_than(worse)
     with pytest.raises(AssessmentError, match=r"longer: not compared; .* scenarios: horizon is 99.0 and 12.0"):
         mine.is_worse_than(tmp_path / "longer")
@@ -104,7 +104,7 @@ def test_a_car_whose_figures_are_not_credible_passes_no_test(tmp_path: Path, mon
     rating = SimpleNamespace(as_dict=lambda: figures, for_skd=HAS_SKD)
     monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
     with pytest.raises(AssessmentError, match=f"MyCar: {NOT_CREDIBLE}it counts. See {tmp_path / '0'}"):
-        Skd(tmp_path).assess(MyCar)
+        Assessor(tmp_path).assess(MyCar)
 
 
 def test_a_car_without_an_skd_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,7 +114,7 @@ def test_a_car_without_an_skd_passes_no_test(tmp_path: Path, monkeypatch: pytest
         as_dict=lambda: {"margin": 5.0, "skd": None}, for_skd=SimpleNamespace(skd=none, reasons=())
     )
     monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
-    skd = Skd(tmp_path)
+    skd = Assessor(tmp_path)
     for _ in range(2):
         with pytest.raises(AssessmentError, match=r"MyCar: all 3 are further than.*; SKD is not defined. See"):
             skd.assess(MyCar)
@@ -152,7 +152,7 @@ def mine(monkeypatch: pytest.MonkeyPatch) -> Assessed:
     found = {one.folder: one for one in every}
     for module in (stored_result, common_trajectories):
         monkeypatch.setattr(module, "read_result", found.__getitem__)
-    return Assessed(SimpleNamespace(as_dict=dict), Path("mine"))
+    return Assessed({}, Path("mine"))
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,7 @@ setup(
         "matplotlib",
         "rich",
         "mcap",
+        "zstandard",
         "rosbags",
         "Jinja2",
         "vl-convert-python",

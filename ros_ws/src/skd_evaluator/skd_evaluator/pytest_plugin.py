@@ -143,7 +143,7 @@ class Assessed:
         return check.failed
 
 
-class Skd:
+class Assessor:
     """What the fixture `skd` is."""
 
     def __init__(self, out: Path) -> None:
@@ -188,10 +188,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture(scope="session", name="skd")
-def _skd(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Skd:
+def _skd(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Assessor:
     """Assess cars: `skd.assess(MyCar).margin`."""
     out, worker = request.config.getoption(_OUT), getattr(request.config, "workerinput", {}).get("workerid", "")
     if not out:
-        return Skd(tmp_path_factory.mktemp("skd"))
+        return Assessor(tmp_path_factory.mktemp("skd"))
     # From where pytest was started: a test may have gone to another folder.
-    return Skd(request.config.invocation_params.dir / Path(out).expanduser() / worker)
+    return Assessor(request.config.invocation_params.dir / Path(out).expanduser() / worker)
