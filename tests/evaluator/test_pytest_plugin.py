@@ -33,11 +33,12 @@ from skd_evaluator import library
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.errors import AssessmentError
 
+SKD = SimpleNamespace(distances=SimpleNamespace(mean=1.0))
 FIGURES = json.loads(pathlib.Path("figures.json").read_text())
 
 def assess(name, *, out, **options):  # tests/evaluator/test_library.py has the real one
     out.mkdir(parents=True)
-    return SimpleNamespace(as_dict=lambda: FIGURES, for_skd=SimpleNamespace(skd=SimpleNamespace(skd=1.0)))
+    return SimpleNamespace(as_dict=lambda: FIGURES, for_skd=SimpleNamespace(skd=SKD))
 
 library.assess = assess
 """
@@ -58,7 +59,7 @@ def test_a_car_is_assessed_once(skd):
 def test_one_that_fails(skd):
     assert skd.assess(seed=1).margin > 100.0
 """
-HAS_SKD = SimpleNamespace(skd=SimpleNamespace(skd=1.0))
+HAS_SKD = SimpleNamespace(skd=SimpleNamespace(distances=SimpleNamespace(mean=1.0)))
 
 
 def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
@@ -109,7 +110,7 @@ def test_a_car_whose_figures_are_not_credible_passes_no_test(tmp_path: Path, mon
 
 def test_a_car_without_an_skd_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With it `skd assess` ends with exit code 1; asked for again, it does not pass either."""
-    none = SimpleNamespace(skd=None, discarded_by_distance=3)
+    none = SimpleNamespace(distances=SimpleNamespace(mean=None), discarded=3)
     rating = SimpleNamespace(
         as_dict=lambda: {"margin": 5.0, "skd": None}, for_skd=SimpleNamespace(skd=none, reasons=())
     )

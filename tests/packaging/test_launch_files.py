@@ -124,12 +124,6 @@ def test_external_controller_is_left_to_the_user(support, given):
     assert nodes["vehicle_simulator"].parameters[1]["command_type"] == "twist"
 
 
-def test_rviz_and_parameter_file(support):
-    nodes, _ = started("episode", rviz="true", params_file="mine.yaml")
-    assert Path(nodes["rviz2"].arguments[1]).is_file()
-    assert nodes["evaluator"].parameters[-1] == "mine.yaml"
-
-
 @pytest.mark.parametrize(
     ("name", "text", "wanted"),
     [("seed", "x", "a whole number"), ("multiplier", "fast", "a number"), ("record", "perhaps", "true or false")],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import sys
 
 import pytest
@@ -12,7 +11,6 @@ from packaging_support import (
     PYTHON_PACKAGES,
     SOURCE,
     defaults_on_file,
-    executables,
     settings,
     setup_arguments,
 )
@@ -76,34 +74,6 @@ def test_dependencies_are_what_is_imported(package):
     assert declared - needed - NOT_IMPORTED == set(), "in package.xml, but not imported"
     missing = {DISTRIBUTIONS.get(name, name) for name in imported(package) & NOT_IN_ROSDEP}
     assert missing <= set(setup_arguments(package)["install_requires"])
-
-
-@pytest.mark.parametrize("package", PYTHON_PACKAGES)
-def test_scripts_run_on_the_python_of_the_path(package):
-    """In a virtual environment, not on the interpreter that colcon happens to run on."""
-    text = (SOURCE / package / "setup.cfg").read_text(encoding="utf-8")
-    assert "[build_scripts]\nexecutable=/usr/bin/env python3" in text
-
-
-@pytest.mark.parametrize("package", PYTHON_PACKAGES)
-def test_every_shared_file_is_installed(package):
-    installed = setup_arguments(package)["data_files"]
-    for folder in ("config", "launch", "rviz", "foxglove"):
-        for path in (SOURCE / package / folder).glob("*"):
-            if path.is_file():
-                pattern = f"{folder}/*.launch.py" if folder == "launch" else f"{folder}/*{path.suffix}"
-                assert f"glob('{pattern}')" in installed, path
-                assert path.match(pattern)
-
-
-@pytest.mark.parametrize("node", ALL_NODES)
-def test_every_node_is_an_executable(node):
-    package, module = ALL_NODES[node]
-    start = "skd_evaluator.start" if package == "skd_evaluator" else "skd_sim.start"
-    assert executables(package)[node] == f"{start}:{node}"
-    program = getattr(importlib.import_module(start), node)
-    assert program.args[0] == module
-    assert callable(importlib.import_module(module).main)
 
 
 @pytest.mark.parametrize("node", ALL_NODES)

@@ -33,11 +33,6 @@ def test_what_is_added_can_be_taken_away(environment, own):
     assert node_variables(ours) == ours
 
 
-def test_a_sourced_ros_stays_as_it_is():
-    environment = {"ROS_DISTRO": "jazzy", PATH: "/opt/ros/jazzy/lib"}
-    assert node_variables(environment) == environment
-
-
 def test_a_controller_that_is_not_ours_inherits_neither():
     options = GraphOptions(controller_command="my_stack --fast")
     programs = graph_programs(
