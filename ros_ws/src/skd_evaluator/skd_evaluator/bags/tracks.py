@@ -361,7 +361,7 @@ def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] =
             found.append(Listed(f"{topic}:{child}", form, len(times), times if moves else times[:0], parents))
     for topic, kind in sorted(bag.topics.items()):
         if kind not in (*_READ, _TRANSFORMS) and (not topics or topic in topics):
-            found.append(Listed(topic, kind, bag.counts[topic], np.zeros(0), why="of a type that is not read"))
+            found.append(Listed(topic, kind, bag.counts.get(topic, 0), np.zeros(0), why="of a type that is not read"))
     return found
 
 

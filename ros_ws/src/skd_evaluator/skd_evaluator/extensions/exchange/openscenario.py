@@ -1,8 +1,8 @@
-"""Finds the ways of entities in ASAM OpenSCENARIO XML 1.0 to 1.3, as far as a file says them without a simulation.
+"""Finds the tracks of entities in ASAM OpenSCENARIO XML 1.0 to 1.3, as far as a file says them without a simulation.
 
-Read are trajectories (polylines, clothoids, NURBS) with times, or followed at one speed, and pedestrians who walk
-straight on at one speed. Positions are those of the world, or of lanes and roads on straight lines and arcs of the
-file's OpenDRIVE. Declared parameters and expressions are put in. The y of a file for CARLA is turned over.
+Read are trajectories (polylines, clothoids, NURBS) with times, or followed at one speed. Positions are those of the
+world, or of lanes and roads on straight lines and arcs of the file's OpenDRIVE. Declared parameters and expressions are
+put in. The y of a file for CARLA, which points right, is turned over.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STANDS = "no action"
 """Form of an entity that nothing in the file moves."""
 _CARLA = "CARLA:"
 _SAMPLES = 400  # places along a curve
-_READ = "trajectories with times or at one speed, and pedestrians who walk on at one speed until a simulation time"
+_READ = "trajectories with times, or followed at one speed"
 
 
 def read_openscenario(root: Element, path: Path) -> list[Track | Listed]:
@@ -53,7 +53,7 @@ def read_openscenario(root: Element, path: Path) -> list[Track | Listed]:
         follows, others = _actions_of(root, name)
         form = _form(follows, others)
         try:
-            track = _track(name, entity, follows, others, root, places, f"{path}, {name}")
+            track = _track(name, follows, others, places, f"{path}, {name}")
         except UsageError as error:
             found.append(Listed(name, form, 0, np.zeros(0), why=str(error).removeprefix(f"{path}, {name}: ")))
             continue
@@ -64,28 +64,22 @@ def read_openscenario(root: Element, path: Path) -> list[Track | Listed]:
     return found
 
 
-def _actions_of(root: Element, name: str) -> tuple[list[Element], list[tuple[Element | None, Element]]]:
-    """Return what an entity follows, and its other actions, each with the event in which it is; None: at the start."""
-    follows: list[Element] = []
-    others: list[tuple[Element | None, Element]] = []
-    private: list[tuple[Element | None, Element]] = [
-        (None, one) for one in root.iter("Private") if one.get("entityRef") == name
-    ]
+def _actions_of(root: Element, name: str) -> tuple[list[Element], list[Element]]:
+    """Return what an entity follows, and its other actions."""
+    private = [one for one in root.iter("Private") if one.get("entityRef") == name]
     for group in root.iter("ManeuverGroup"):
         if name in [one.get("entityRef") for one in group.findall("Actors/EntityRef")]:
-            private += [(event, event) for event in group.iter("Event")]
-    for event, inside in private:
-        follows += inside.iter("FollowTrajectoryAction")
-        for action in inside.iter("PrivateAction"):
-            others += [(event, one) for one in action if one.find("FollowTrajectoryAction") is None]
-    return follows, others
+            private.append(group)
+    follows = [one for inside in private for one in inside.iter("FollowTrajectoryAction")]
+    actions = (one for inside in private for action in inside.iter("PrivateAction") for one in action)
+    return follows, [one for one in actions if one.find("FollowTrajectoryAction") is None]
 
 
-def _form(follows: list[Element], others: list[tuple[Element | None, Element]]) -> str:
+def _form(follows: list[Element], others: list[Element]) -> str:
     """Return by what an entity moves, in the words of the format."""
     if follows:
         return " and ".join(dict.fromkeys(_shape(one)[0] for one in follows))
-    inner = (one for _, action in others for one in action if action.tag != "TeleportAction")
+    inner = (one for action in others for one in action if action.tag != "TeleportAction")
     return " and ".join(dict.fromkeys(one.tag for one in inner)) or STANDS
 
 
@@ -97,21 +91,17 @@ def _shape(follow: Element) -> tuple[str, Element | None]:
     return shape[0].tag, shape[0]
 
 
-def _track(
-    name: str,
-    entity: Element,
-    follows: list[Element],
-    others: list[tuple[Element | None, Element]],
-    root: Element,
-    places: _Places,
-    where: str,
-) -> Track:
+def _track(name: str, follows: list[Element], others: list[Element], places: _Places, where: str) -> Track:
     form = _form(follows, others)
     if len(follows) > 1:
         raise UsageError(f"{where}: follows two trajectories; give a file in which it follows one")
     if not follows:
-        rows = _walk(name, entity, others, root, places, where)
-        return Track.of_rows(rows, where, name, form=form, drawn=True)
+        raise UsageError(
+            f"{where}: {f'moves by {form}' if others else 'nothing in the file moves it'}; read are {_READ}"
+        )
+    unknown = next((text for one in follows[0].iter() for text in one.attrib.values() if "$" in text), None)
+    if unknown is not None:
+        raise UsageError(f"{where}: the parameter {unknown[:40]!r} is not declared, or in two ways")
     offset = follows[0].get("initialDistanceOffset", "0")
     if finite_number(offset, f"{where}: initialDistanceOffset") != 0.0:
         raise UsageError(f"{where}: begins within its trajectory (initialDistanceOffset), whose times do not")
@@ -129,7 +119,7 @@ def _track(
             raise UsageError(f"{where}: scale of Timing must be above 0, got {scale:g}")
         rows[:, 0] = rows[:, 0] * scale + start
     else:
-        speed = _one_speed(_speeds(others))
+        speed = _one_speed(others)
         if speed is None:
             raise UsageError(
                 f"{where}: its {kind} is followed without times (TimeReference), and not at one speed: nothing says "
@@ -140,15 +130,12 @@ def _track(
     return Track.of_rows(rows, where, name, form=form, drawn=True)
 
 
-def _speeds(others: list[tuple[Element | None, Element]]) -> list[tuple[Element | None, Element]]:
-    return [(event, one) for event, action in others for one in action.iter("SpeedAction")]
-
-
-def _one_speed(speeds: list[tuple[Element | None, Element]]) -> float | None:
+def _one_speed(others: list[Element]) -> float | None:
     """Return the speed (m/s) that an entity is given at once, and once; None without."""
+    speeds = [one for action in others for one in action.iter("SpeedAction")]
     if len(speeds) != 1:
         return None
-    dynamics, target = speeds[0][1].find("SpeedActionDynamics"), speeds[0][1].find(".//AbsoluteTargetSpeed")
+    dynamics, target = speeds[0].find("SpeedActionDynamics"), speeds[0].find(".//AbsoluteTargetSpeed")
     at_once = dynamics is not None and (
         dynamics.get("dynamicsShape") == "step" or _number_or_none(dynamics.get("value")) == 0.0
     )
@@ -161,39 +148,6 @@ def _number_or_none(text: str | None) -> float | None:
         return finite_number(text or "", "")
     except UsageError:
         return None
-
-
-def _walk(
-    name: str,
-    entity: Element,
-    others: list[tuple[Element | None, Element]],
-    root: Element,
-    places: _Places,
-    where: str,
-) -> FloatArray:
-    """Return the way of a pedestrian who walks straight on from where it is put: time, x, y at both ends."""
-    speeds = _speeds(others)
-    begins = [one for one in root.iter("Private") if one.get("entityRef") == name]
-    position = next((found for one in begins for found in one.iter("Position")), None)
-    speed = _one_speed(speeds)
-    stop = _simulation_time(root.find("Storyboard/StopTrigger"))
-    start = None if not speeds else 0.0 if speeds[0][0] is None else _simulation_time(speeds[0][0].find("StartTrigger"))
-    if entity.find("Pedestrian") is None or position is None or not speed or start is None or stop is None:
-        by = _form([], others)
-        raise UsageError(f"{where}: moves by {by}, not read so; read are {_READ}")
-    world = position.find("WorldPosition")
-    if world is None or world.get("h") is None:
-        raise UsageError(f"{where}: walks by a SpeedAction from a place without a heading (h of WorldPosition)")
-    heading, (x, y) = finite_number(world.get("h", ""), f"{where}: h"), places.at(position, where)
-    gone = speed * (stop - start)
-    return np.array([[start, x, y], [stop, x + gone * math.cos(heading), y + gone * math.sin(heading)]])
-
-
-def _simulation_time(trigger: Element | None) -> float | None:
-    """Return the time of a trigger that is one condition on the simulation's time, s."""
-    conditions = [] if trigger is None else list(trigger.iter("Condition"))
-    at = conditions[0].find(".//SimulationTimeCondition") if len(conditions) == 1 else None
-    return None if at is None else _number_or_none(at.get("value"))
 
 
 def _kind(entity: Element) -> str:
