@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -149,42 +148,22 @@ def test_the_same_way_comes_in_once(tmp_path: Path, skd_here):
 # --- what is wrong
 
 
-def _xosc(folder: Path) -> str:
-    one = safe("crossing", walk(load_scenario("crossing")))
-    FORMATS["openscenario"].write(folder / "a.xosc", one)
-    return (folder / "a.xosc").read_text("utf-8")
+def test_an_entity_of_another_name_is_the_only_one_there_is(tmp_path: Path):
+    FORMATS["openscenario"].write(tmp_path / "a.xosc", safe("crossing", walk(load_scenario("crossing"))))
+    text = (tmp_path / "a.xosc").read_text("utf-8")
+    (tmp_path / "a.xosc").write_text(text.replace('entityRef="Adversary"', 'entityRef="B"'), "utf-8")
+    (source,) = read_sources([tmp_path / "a.xosc"], ImportRequest())
+    assert source.found.name == "B"
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda text: text.replace('<Vertex time="0.3">', "<Vertex>"), "a vertex has no time"),
-        (
-            lambda text: text.replace('<Vertex time="0.3">', '<Vertex time="0.0">'),
-            "is in two places, 0.639 m apart, at 0.00 s",
-        ),
-        (lambda text: text.replace('<Vertex time="0.3">', '<Vertex time="nan">'), "must be finite"),
-        (lambda text: text.replace("WorldPosition", "LanePosition"), "not at a WorldPosition"),
-        (lambda text: text.replace('entityRef="Adversary"', 'entityRef="B"') + " ", "of no use"),
-        (lambda text: text.replace("<OpenSCENARIO>", "<Other>").replace("</OpenSCENARIO>", "</Other>"), "its root is"),
-        (lambda text: text[:400], "not XML that SKD reads"),
-        (lambda text: text.replace('scale="1.0"', 'scale="0"'), "scale of Timing must be above 0"),
-        (
-            lambda text: text.replace("<FollowTrajectoryAction", '<FollowTrajectoryAction initialDistanceOffset="1.5"'),
-            "begins within its trajectory",
-        ),
-    ],
+    ("text", "says"),
+    [("<Other/>", "its root is 'Other'"), ("<OpenSCENARIO><a>", "not XML that SKD reads")],
 )
-def test_scenarios_that_say_no_way(tmp_path: Path, change: Callable[[str], str], says: str):
-    (tmp_path / "a.xosc").write_text(change(_xosc(tmp_path)), "utf-8")
-    if says == "of no use":  # another name: it is the only one there is
-        (source,) = read_sources([tmp_path / "a.xosc"], ImportRequest())
-        assert source.found.name == "B"
-        return
-    with pytest.raises(UsageError) as caught:
+def test_files_of_no_scenario(tmp_path: Path, text: str, says: str):
+    (tmp_path / "a.xosc").write_text(text)
+    with pytest.raises(UsageError, match=says):
         read_sources([tmp_path / "a.xosc"], ImportRequest())
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from bag_forge import Sent, campaign_messages, write_mcap
 from recordings_support import crossing, trials
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
@@ -43,6 +44,15 @@ def test_what_cannot_be_read_is_named(bags: Path, refused: Refused, replay: Repl
     assert said.endswith("--skip-damaged leaves it out")
     (line,) = replay(bags, "--skip-damaged").result["left_out"]
     assert name in line
+
+
+def test_a_file_that_is_packed_as_a_whole_says_the_same(bags: Path, replay: Replay) -> None:
+    plain, file = replay(bags), bags / "04" / "04.mcap"
+    file.with_suffix(".mcap.zstd").write_bytes(zstandard.compress(file.read_bytes()))
+    both = replay(bags)  # the one that was unpacked is read
+    file.unlink()
+    packed = replay(bags)
+    assert (packed.err, packed.episodes, both.episodes) == ("", plain.episodes, plain.episodes)
 
 
 @pytest.mark.parametrize("inline", [False, True])

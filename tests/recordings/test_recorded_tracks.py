@@ -253,6 +253,9 @@ def test_a_recording_that_was_cut_short_gives_its_whole_chunks_and_a_warning(tmp
     assert 10 < len(track.times) < 81
     assert bits(track)[0] == bits(*read(whole))[0][: 8 * len(track.times)]
     assert damage.lines == [f"{cut}: it is cut short; what is whole of it is read"]
+    cut.write_bytes(whole.read_bytes()[:60])
+    with pytest.raises(UsageError, match=f"what is whole of it is read: nothing of {USER}"):
+        read(cut)
 
 
 # --- transforms

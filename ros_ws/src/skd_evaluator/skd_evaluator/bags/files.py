@@ -179,9 +179,10 @@ def _check_metadata(file: Path, damage: Damage) -> None:
         damage.warn(f"{file}: cannot be read ({said}): nobody knows which files belong to this bag")
         return
     for name in names:
-        # Recorders of before wrote the folder's own name, too; a file that was unpacked has lost its ending.
+        # Recorders of before wrote the folder's own name, too; a file may have been packed or unpacked since.
         bare = name.removesuffix(".zstd")
-        if not any(is_there(file.parent / one) for one in (name, bare, Path(name).name, Path(bare).name)):
+        every = [one for each in (bare, Path(bare).name) for one in (each, *(each + packed for packed in PACKED))]
+        if not any(is_there(file.parent / one) for one in every):
             damage.leave_out(f"{file}: names {name:.200}, which is not there: what it held is missing")
 
 

@@ -318,8 +318,9 @@ def bag_tracks(
         elif kind is not None and kind not in _READ:
             raise UsageError(f"{bag.where}: {topic} has type {shortened(kind)}; it must be one of {', '.join(_READ)}")
         else:
-            if damage.left_out and kind is not None:
-                raise UsageError(damage.left_out[-1])
+            faults = [line for line in damage.left_out if line.startswith(tuple(map(str, files)))]
+            if faults:
+                raise UsageError(f"{faults[-1]}: nothing of {topic}")
             readable = [one for one, kind in bag.topics.items() if kind in (*_READ, _TRANSFORMS)]
             raise UsageError(
                 f"{bag.where}: has no message on {topic}; it has {listed(readable)}: name them by --car and --road-user"

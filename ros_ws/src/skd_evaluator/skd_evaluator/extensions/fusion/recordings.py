@@ -30,6 +30,7 @@ from skd_evaluator.bags.tracks import (
     bag_tracks,
     table_tracks,
 )
+from skd_evaluator.bags.transforms import zigzag
 from skd_evaluator.extensions.fusion.trials import GAP_TOLERANCE, PhysicalTrial, figures_of, gap_to_crossing
 from skd_evaluator.metrics.surrogate_measures import clearances
 from skd_evaluator.metrics.surrogate_scenes import Interaction
@@ -40,7 +41,6 @@ _LONGEST = 3600.0  # s that a track may last
 _NOISE = 0.3  # m of two tracked places
 _MOVES = 1.0  # m/s, from which directions and speeds of positions say something
 _SAME_SPEED, _SLACK, _SPEED_OVER = 1.3, 1.0, 0.5  # ratio, m/s and s by which stated speeds are compared with positions
-_BRAKES = 12.0  # m/s², more than tyres give
 _STEP = 0.05  # s between moments
 _SHIFTS = 0.02  # s between beginnings of φ that are tried; then finer
 _OVER = 0.3  # s over which velocities are taken: a sensor's noise of 2 cm is 0.1 m/s then
@@ -93,13 +93,11 @@ def _check_track(track: Track) -> None:
         raise UsageError(f"{where}: lasts {times[-1] - times[0]:.4g} s, more than {_LONGEST:g} s: are times in s?")
     if track.jump:
         raise UsageError(f"{where}: {track.jump}")
-    share = ((times[1:-1] - times[:-2]) / (times[2:] - times[:-2]))[:, None]
-    aside = np.hypot(*(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).T)
-    off = aside - _NOISE - 0.125 * _BRAKES * (times[2:] - times[:-2]) ** 2
+    off = zigzag(times, places) - _NOISE
     worst = int(np.argmax(off))
     if off[worst] > 0.0:
         raise UsageError(
-            f"{where}: is {aside[worst]:.2g} m off the line between the positions before and after at "
+            f"{where}: leaps by {off[worst] + _NOISE:.2g} m from the line between the positions before and after at "
             f"{times[worst + 1]:.2f} s: positions without jumps are needed"
         )
     if track.speeds is not None:
