@@ -85,7 +85,7 @@ def joined(files: Sequence[Path], damage: Damage) -> list[list[Path]]:
     for file in files:
         numbered = _NUMBERED.fullmatch(_stem(file))
         in_bag = is_there(file.parent / METADATA)
-        name = "" if in_bag else numbered.group(1) if numbered else file.name
+        name = "" if in_bag else numbered.group(1) if numbered and numbered.group(1) else file.name
         groups.setdefault((file.parent, name), []).append(file)
     found: list[list[Path]] = []
     for (folder, _), group in groups.items():

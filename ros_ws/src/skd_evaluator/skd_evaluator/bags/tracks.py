@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, open_regular
 from skd_sim.ros.from_messages import from_stamp
@@ -550,7 +550,7 @@ def _track(
         notes.append(f"{lost} of {len(rows)} positions left out for it")
         damage.warn(f"{bag.where}, {name}: {notes[-1]}")
     return Track(
-        _seconds(stamps[known] - origin),
+        (stamps[known] - origin) / SECOND,
         places[known, :2],
         f"{bag.where}, {name}",
         _complete(headings[known]),
@@ -561,10 +561,6 @@ def _track(
         form="transforms" if is_frame else f"{bag.topics[topic]}" + (f", {how}" if how != _STAMPS else ""),
         notes=tuple(notes),
     )
-
-
-def _seconds(nanoseconds: IntArray) -> FloatArray:
-    return np.asarray(nanoseconds / SECOND)
 
 
 def _complete(values: FloatArray) -> FloatArray | None:
