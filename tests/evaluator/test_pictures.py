@@ -199,9 +199,7 @@ def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_pat
         counts = [0.2 + 0.1 * k for k in range(2 + number)]
         margin = (sum(counts) + CROSSING.eta_max) / (len(counts) + 1)
         assert f"margin {margin:.2f} m, planned" in axes.get_title()
-    low, high = rating.margins.ci95
     assert f"margin {rating.margins.mean:.2f} m" in figures[0].get_suptitle()
-    assert f"margin {low:.2f} to {high:.2f} m" in figures[0].get_suptitle()
 
 
 def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tmp_path, figures):
@@ -235,7 +233,7 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     assert "4 of 4 aborted" in panels[0].get_title()
     (one,) = [row for row, hits in zip(what.deviation.means, what.of_successes.groups, strict=True) if hits.size]
     skd = what.skd.distances.mean
-    assert f"planned {one:.2f} m, SKD {skd:.2f} m, 3 failed" in panels[1].get_title()
+    assert panels[1].get_title().endswith(f"3 failed\nplanned deviation {one:.2f} m, SKD {skd:.2f} m")
     assert f"planned deviation {what.deviation.mean:.2f} m, SKD {skd:.2f} m" in figures[0].get_suptitle()
     draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)

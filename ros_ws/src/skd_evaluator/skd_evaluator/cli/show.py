@@ -170,12 +170,12 @@ def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:
     name = figures["per_safe_trajectory"][int(episodes.safe_index[number])]["name"]
     objective = str(episodes.objective[number])
     who = f"kamikaze of objective {objective}" if objective else kept[number].text if kept else "along φ"
-    skd = "" if figures["skd"] is None else f" (SKD {figures['skd']:.2f} m)"
+    margin = "" if figures["margin"] is None else f" (margin {figures['margin']:.2f} m)"
     ended = Outcome(int(episodes.outcome[number])).name.lower()
     if episodes.collided[number]:
         ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deviation {episodes.deviation[number]:.2f} m"
     ended = f"\n{kept[number].likely}, {ended}" if kept else f" {ended}"
-    return f"{subject.label}{skd}\n{name}, {who}:{ended}"
+    return f"{subject.label}{margin}\n{name}, {who}:{ended}"
 
 
 def _entry(subject: Subject, number: int, name: str, kept: Sequence[KeptFailure]) -> dict[str, Any]:

@@ -316,13 +316,12 @@ class EpisodePicture:
         axes.set_xlabel("time (s)", fontsize=9)
         axes.set_ylabel("distance (m)", fontsize=9)
         axes.grid(alpha=0.3)
-        axes.legend(frameon=False, fontsize=TYPE)
+        axes.legend(frameon=False, fontsize=TYPE, loc="upper right")
 
 
 def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     """Return what the picture shows: x from and to, y from and to, m."""
-    *before, last = (car_outline(shown.scenario, float(along)) for along in shown.along)
-    cars = np.concatenate([*(outline[[0, 3]] for outline in before), last])  # of the others the fronts are drawn
+    cars = np.concatenate([car_outline(shown.scenario, float(along)) for along in shown.along])
     points = np.concatenate([shown.phi, shown.adversary, cars])
     low, high = points.min(axis=0) - 0.8, points.max(axis=0) + 0.8
     if shown.scenario.road.straight:

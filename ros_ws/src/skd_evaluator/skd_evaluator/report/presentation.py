@@ -25,18 +25,18 @@ from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.report.formats import contact_warnings, margin_warnings
 
 
-def undefined(rating: Assessment) -> str | None:
+def undefined(assessment: Assessment) -> str | None:
     """Return why SKD is not defined, in one line; None if it is."""
-    assessment = rating.for_skd
-    if assessment.skd.distances.mean is not None:
+    result = assessment.for_skd
+    if result.skd.distances.mean is not None:
         return None
-    discarded = assessment.skd.discarded
+    discarded = result.skd.discarded
     why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
-    if assessment.reasons and not assessment.trials:
-        why = f"every kamikaze episode was aborted ({most_frequent(assessment.reasons)})"
-    elif not discarded and any(kamikaze.aborted for kamikaze in assessment.kamikaze):
-        lost = sum(kamikaze.aborted for kamikaze in assessment.kamikaze)
-        why = f"{why}, and {lost} of {assessment.trials + lost} kamikaze episodes were aborted"
+    if result.reasons and not result.trials:
+        why = f"every kamikaze episode was aborted ({most_frequent(result.reasons)})"
+    elif not discarded and any(kamikaze.aborted for kamikaze in result.kamikaze):
+        lost = sum(kamikaze.aborted for kamikaze in result.kamikaze)
+        why = f"{why}, and {lost} of {result.trials + lost} kamikaze episodes were aborted"
     return f"{why}; SKD is not defined"
 
 
@@ -46,42 +46,42 @@ def most_frequent(reasons: Iterable[str]) -> str:
     return str(most["first"] or kind)
 
 
-def figure_warnings(rating: Assessment, *, planned: bool = True) -> list[str]:
+def figure_warnings(assessment: Assessment, *, planned: bool = True) -> list[str]:
     """Return what a reader should know before believing the figures, in one line each.
 
     Args:
-        rating: the rating with its figures.
+        assessment: the assessment with its figures.
         planned: whether optimality gap is among the warnings; a table that has it as a column needs none.
     """
-    nothing = undefined(rating) if rating.margins is not None else None
+    nothing = undefined(assessment) if assessment.margins is not None else None
     found = [nothing] if nothing else []
-    for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
+    for trajectory, (hits, runs) in zip(assessment.safe, assessment.hits(), strict=True):
         if hit_too_often(hits, runs):
             found.append(
                 f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
                 "with this car it is not safe, and a kamikaze need not leave it"
             )
-    found += _hits_of_others(rating)
-    found += _warnings_of_margin(rating) if planned else []
-    if rating.until_width is not None and not rating.until_width.reached:
-        found.append(rating.until_width.text)
-    if rating.clipped:
-        low, high = _limits(rating)
-        found.append(clipped_line(rating.clipped, low, high))
-    return found + contact_warnings({"simulator_contacts": simulator_contacts(rating.logs)})
+    found += _hits_of_others(assessment)
+    found += _warnings_of_margin(assessment) if planned else []
+    if assessment.until_width is not None and not assessment.until_width.reached:
+        found.append(assessment.until_width.text)
+    if assessment.clipped:
+        low, high = _limits(assessment)
+        found.append(clipped_line(assessment.clipped, low, high))
+    return found + contact_warnings({"simulator_contacts": simulator_contacts(assessment.logs)})
 
 
-def _limits(rating: Assessment) -> tuple[float, float]:
+def _limits(assessment: Assessment) -> tuple[float, float]:
     """Return the least and the greatest acceleration of the car, as its simulator says, or as in SKD's world; m/s²."""
-    said = (rating.simulation or {}).get("limits")
-    low, high = command_limits(rating.plan.scenario) if said is None else said
+    said = (assessment.simulation or {}).get("limits")
+    low, high = command_limits(assessment.plan.scenario) if said is None else said
     return float(low), float(high)
 
 
-def _hits_of_others(rating: Assessment) -> list[str]:
+def _hits_of_others(assessment: Assessment) -> list[str]:
     """Return how often the car ran into others than the adversary, which counts as any collision, in a line each."""
-    others = rating.plan.scenario.others
-    logs = [*rating.kamikaze_logs, *rating.nominal_runs] if others else []
+    others = assessment.plan.scenario.others
+    logs = [*assessment.kamikaze_logs, *assessment.nominal_runs] if others else []
     who = [collision_partner(log) for log in logs]
     return [
         f"in {who.count(index)} of {len(logs)} episodes the car ran into others[{index}], a {other.kind}, and not into "
@@ -91,87 +91,87 @@ def _hits_of_others(rating: Assessment) -> list[str]:
     ]
 
 
-def _warnings_of_margin(rating: Assessment) -> list[str]:
+def _warnings_of_margin(assessment: Assessment) -> list[str]:
     """Return what a reader should know of the margin and of the planned figures, in one line each."""
-    margins = rating.margins
+    margins = assessment.margins
     if margins is None:
         return []
-    touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
-    hit = sum(log.hit for log in rating.logs)
-    close, _ = rating.optimality_gap()
+    touched = sum(log.outcome == Outcome.COLLISION for log in assessment.kamikaze_logs)
+    hit = sum(log.hit for log in assessment.logs)
+    close, _ = assessment.optimality_gap()
     figures_of_margin = figures_of(Of.MARGIN, margins)
-    scenario = rating.plan.scenario.as_dict()
+    scenario = assessment.plan.scenario.as_dict()
     return margin_warnings({**figures_of_margin, "optimality_gap": close, "scenario": scenario}, touched, hit)
 
 
-def any_aborted(rating: Assessment) -> bool:
+def any_aborted(assessment: Assessment) -> bool:
     """Whether any episode was aborted of which a figure is."""
-    scales = () if rating.risks is None else rating.risks.scales
+    scales = () if assessment.risks is None else assessment.risks.scales
     return (
-        bool(rating.reasons)
+        bool(assessment.reasons)
         or any(one.lost or one.number_of(Touch.ABORTED) for one in scales)
-        or any(point.aborted for point in rating.budgets)
+        or any(point.aborted for point in assessment.budgets)
     )
 
 
-def aborted_lines(rating: Assessment) -> list[str]:
+def aborted_lines(assessment: Assessment) -> list[str]:
     """Return, a line each, how many episodes of each figure were aborted, and what it would be at worst."""
-    return aborted.aborted_lines(rating.as_dict()) if any_aborted(rating) else []
+    return aborted.aborted_lines(assessment.as_dict()) if any_aborted(assessment) else []
 
 
-def too_many_aborted(rating: Assessment, maximum: float, figures: Mapping[str, Any] | None = None) -> str | None:
+def too_many_aborted(assessment: Assessment, maximum: float, figures: Mapping[str, Any] | None = None) -> str | None:
     """Return, in one line, of which figure more episodes were aborted than may be; None if that is not so.
 
     Args:
-        rating: the rating of all episodes, aborted ones counted.
+        assessment: the assessment of all episodes, aborted ones counted.
         maximum: share of the episodes that may be aborted.
         figures: content of its assessment.json, of one that was made anew from its episodes, which are not all.
     """
-    if figures is None and not any_aborted(rating):
+    if figures is None and not any_aborted(assessment):
         return None
-    return aborted.too_many_aborted(figures or rating.as_dict(), maximum)
+    return aborted.too_many_aborted(figures or assessment.as_dict(), maximum)
 
 
-def why_failed(rating: Assessment, maximum_aborted: float, figures: Mapping[str, Any] | None = None) -> list[str]:
+def why_failed(assessment: Assessment, maximum_aborted: float, figures: Mapping[str, Any] | None = None) -> list[str]:
     """Return why an assessment counts as failed, a line each; empty if it does not.
 
     That SKD is not defined is no reason where the margin is known.
 
     Args:
-        rating: the rating of all episodes, aborted ones counted.
+        assessment: the assessment of all episodes, aborted ones counted.
         maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
         figures: see `too_many_aborted`.
     """
-    too_many = too_many_aborted(rating, maximum_aborted, figures)
-    nothing = undefined(rating) if rating.margins is None else None
-    return [why for why in (nothing, too_many, *not_credible(rating.warnings)) if why]
+    too_many = too_many_aborted(assessment, maximum_aborted, figures)
+    nothing = undefined(assessment) if assessment.margins is None else None
+    return [why for why in (nothing, too_many, *not_credible(assessment.warnings)) if why]
 
 
-def with_failures(rating: Assessment, maximum_aborted: float) -> Assessment:
-    """Return the rating with why it counts as failed among its warnings, for who sees no exit code.
+def with_failures(assessment: Assessment, maximum_aborted: float) -> Assessment:
+    """Return the assessment with why it counts as failed among its warnings, for who sees no exit code.
 
     That SKD is not defined makes no margin less credible.
 
     Args:
-        rating: the rating of all episodes, aborted ones counted.
+        assessment: the assessment of all episodes, aborted ones counted.
         maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
     """
-    too_many = too_many_aborted(rating, maximum_aborted)
-    found = [undefined(rating), f"{NOT_CREDIBLE}{too_many}" if too_many else None]
-    return replace(rating, warnings=(*rating.warnings, *(line for line in found if line)))
+    too_many = too_many_aborted(assessment, maximum_aborted)
+    found = [undefined(assessment), f"{NOT_CREDIBLE}{too_many}" if too_many else None]
+    return replace(assessment, warnings=(*assessment.warnings, *(line for line in found if line)))
 
 
-def warnings_of(rating: Assessment, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
+def warnings_of(assessment: Assessment, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
     """Return what a reader should know that is no failure, a line each.
 
     Args:
-        rating: the rating with its figures.
+        assessment: the assessment with its figures.
         planned: see `figure_warnings`.
         said: lines that the reader was told already.
     """
-    failures = not_credible(rating.warnings)
-    of_episodes = [line for line in rating.warnings if line not in failures and line not in said]
-    return [*of_episodes, *figure_warnings(rating, planned=planned)]
+    failures = not_credible(assessment.warnings)
+    of_episodes = [line for line in assessment.warnings if line not in failures and line not in said]
+    return [*of_episodes, *figure_warnings(assessment, planned=planned)]
 
 
 def episode_line(log: EpisodeLog) -> str:
@@ -182,38 +182,38 @@ def episode_line(log: EpisodeLog) -> str:
     return f"{log.outcome.name.lower()}{impact}; {len(log.adversary) - 1} ticks"
 
 
-def fill(folder: Path, rating: Assessment, *, may_fork: bool = False) -> None:
+def fill(folder: Path, assessment: Assessment, *, may_fork: bool = False) -> None:
     """Write everything that an assessment leaves on disk.
 
     Args:
         folder: folder that is filled.
-        rating: rating of the car.
+        assessment: assessment of the car.
         may_fork: whether another process may draw some of the pictures: not where other threads run, as those of ROS 2.
     """
     from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
 
     def draw() -> None:
-        for name, part in picture_names(rating).items():
-            save_trajectories(folder / name, rating, part)
+        for name, part in picture_names(assessment).items():
+            save_trajectories(folder / name, assessment, part)
 
     with ExitStack() as stack:
         forks = may_fork and available_workers() > 1
         drawn = stack.enter_context(in_background(draw)) if forks else lambda: False
-        write_assessment(folder, rating)
-        if rating.vulnerability is not None:  # in this process: one that is forked from a user of Vega's waits for ever
+        write_assessment(folder, assessment)
+        if assessment.vulnerability is not None:  # in this process: one forked from a user of Vega waits for ever
             from skd_evaluator.report.charts import ChartedCar, save_vulnerability
 
-            figures = rating.as_dict()
+            figures = assessment.as_dict()
             car = ChartedCar(str(figures["car"]), figures, curves=figures["vulnerability_curve"])
             save_vulnerability(folder / "vulnerability.png", [car])
         if not drawn():
             draw()
 
 
-def picture_names(rating: Assessment) -> dict[str, ObjectiveResult]:
+def picture_names(assessment: Assessment) -> dict[str, ObjectiveResult]:
     """Return the file of each picture of trajectories: `trajectories.png` shows the kamikazes that rank the car."""
-    first = rating.for_deviation
-    others = [one for one in rating.results if one is not first]
+    first = assessment.for_deviation
+    others = [one for one in assessment.results if one is not first]
     return {"trajectories.png": first, **{f"trajectories_{one.plan.objective}.png": one for one in others}}
 
 

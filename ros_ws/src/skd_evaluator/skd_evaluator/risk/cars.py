@@ -24,7 +24,7 @@ from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelle
 from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner
 from skd_evaluator.assessment.plan import Stage, episode_id
-from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_side_by_side
+from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_batched
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.metrics.behaviour.model import walk, walked
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight
@@ -362,7 +362,7 @@ def batched_car(crossing_plan: CrossingPlan, runner: Workers) -> BatchedCar | No
     if car.is_own or car.is_external:
         return None
     one = Crossings(np.array([0]), np.zeros((1, crossing_plan.walker_normals)), np.empty((1, 0)), np.array([0]))
-    if why_not_side_by_side(AnyCar(crossing_plan, runner).episodes(one, 1.0)[0]):
+    if why_not_batched(AnyCar(crossing_plan, runner).episodes(one, 1.0)[0]):
         return None
     (takes,) = runner.map(answers_batches, [car])
     return BatchedCar(crossing_plan, runner) if takes else None

@@ -74,7 +74,7 @@ class _Numbers(NamedTuple):
     minimum_impact_speed: float
 
 
-def why_not_side_by_side(episode: EpisodeSpec) -> str:
+def why_not_batched(episode: EpisodeSpec) -> str:
     """Return why episodes like this one are run one by one, in a few words; empty where they need not be."""
     scenario = episode.scenario
     if not is_own_world(episode.simulator):
@@ -152,7 +152,7 @@ class Replay:
     """Runs replays of one trial one after the other: the logs are those of whole episodes, to the bit."""
 
     def __init__(self, episode: EpisodeSpec) -> None:
-        """Draw what all of them have in common; see `why_not_side_by_side`."""
+        """Draw what all of them have in common; see `why_not_batched`."""
         scenario = episode.scenario
         self._numbers, self._noise = _numbers(episode), _noise(episode, scenario.ticks)
         self._begin = _first_state(episode)
@@ -214,7 +214,7 @@ def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
     """Return the logs of episodes in which the adversary follows a trajectory, all of one car, side by side.
 
     Args:
-        episodes: replays, of scenarios that differ in the start distance alone; see `why_not_side_by_side`. One
+        episodes: replays, of scenarios that differ in the start distance alone; see `why_not_batched`. One
             controller, which takes batches, answers all of them: it is reset once, as the first of them has it.
 
     Raises:
@@ -222,7 +222,7 @@ def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
     """
     first = episodes[0]
     assert first.mode == Mode.REPLAY, first.mode
-    assert not why_not_side_by_side(first), why_not_side_by_side(first)
+    assert not why_not_batched(first), why_not_batched(first)
     policy = _made(first)
     requests: list[_Request] = []
     numbers, scenario, count = _numbers(first), first.scenario, len(episodes)

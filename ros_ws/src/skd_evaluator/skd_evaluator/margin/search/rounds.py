@@ -10,7 +10,7 @@ from skd_sim.controllers.isolated import isolated
 from skd_sim.world.episode import Outcome
 
 from skd_evaluator.assessment.context import Progress, Runner
-from skd_evaluator.assessment.run.batches import Replay, replayed, why_not_side_by_side
+from skd_evaluator.assessment.run.batches import Replay, replayed, why_not_batched
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.search.group import Drive, Group, search
@@ -88,7 +88,7 @@ def _search_here(job: tuple[Group, int]) -> Group:
     group, budget = job
     first = group.trials[0].episode
     controller = make_controller(first.controller, first.multiplier)
-    together = not why_not_side_by_side(first)
+    together = not why_not_batched(first)
     if together and takes_batches(controller):
         search([group], budget, replayed)
     elif together and not is_sensing(controller):
