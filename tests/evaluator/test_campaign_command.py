@@ -21,7 +21,9 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
+from edited_results import edit
 from skd_evaluator.assessment.files.episode_store import FILE_NAME, EpisodeStore
+from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
@@ -214,7 +216,7 @@ class Graph:
             if len(self.ran) == self._deaths:
                 raise AssessmentError("the simulator has ended")
             self.ran.append(one.episode_id)
-            yield dataclasses.replace(run_episode(one), timing=Timing((0.01, 0.02), 1, 0.5))
+            yield dataclasses.replace(run_episode(one), timing=Timing((0.01,) * 99, 1, 0.5))
 
     def publish_assessment(self, rating):
         assert rating.nominal_runs
@@ -271,10 +273,16 @@ def test_a_cluster_that_is_gone_ends_the_campaign_and_fails_no_cell(here, skd_he
 def test_a_damaged_store_or_result_is_said(here, skd_here):
     write(here, TWO)
     assert skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1").returncode == 0
+    assert verify(here / "out").fine
     whole = (here / "out" / "basic-C1" / "episodes.npz").read_bytes()
-    (here / "out" / "basic-C1" / "episodes.npz").write_bytes(whole[:-1])
     resume = ("campaign", "campaign.yaml", "--out", "out", "--resume", "--workers", "1")
-    one_line(skd_here(*resume), 2, "basic-C1/episodes.npz: is not what was written", "--resume makes it again")
+    edit(here / "out" / "basic-C1", lambda figures: figures.update(seconds=1), "rewritten")
+    (problem,) = verify(here / "out").problems
+    assert "cell basic-C1: assessment.json is not the file that the row is of" in problem
+    one_line(skd_here(*resume), 2, "basic-C1/assessment.json: is not what was written", "--resume makes it again")
+    shutil.rmtree(here / "out" / "basic-C1")
+    shutil.copytree(here / "out" / "basic-C0.75", here / "out" / "basic-C1")
+    one_line(skd_here(*resume), 2, "is not what was written")
     shutil.rmtree(here / "out" / "basic-C1")
     (here / "out" / FILE_NAME).write_bytes(b"\0" * 5000)
     one_line(skd_here(*resume), 1, FILE_NAME, "damaged", "delete it")

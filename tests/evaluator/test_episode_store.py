@@ -294,6 +294,3 @@ def test_a_runner_that_is_to_stop_asks_for_nothing_more(tmp_path):
     store.close()
     with pytest.raises(AssessmentError, match="closed"):
         store.count()
-
-
-# --- stores of others

@@ -11,8 +11,8 @@ from report_support import edited
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.report.side_by_side import comparison_table
 from skd_evaluator.report.summary import markdown
+from skd_evaluator.report.tables import comparison_table
 from skd_evaluator.report.terminal import details_table, headline_table, print_table
 
 INF = math.inf

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cells import Cell, make_cells
+from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_sim.errors import UsageError
 
 SIZES = "safe_count: 1, kamikaze_count: 1, collision_runs: 1, simulations: 10, margin_limit: 0, behaviour: none"
-TWO = f"defaults: {{{SIZES}}}\ncars: [{{controller: basic, sweep: {{multiplier: [0.5, 1.0]}}}}]\n"
 CAR = """
 from pathlib import Path
 from the_law import decide
@@ -53,18 +52,3 @@ def test_another_car_behind_the_same_module_is_refused(
     with pytest.raises(UsageError) as caught:
         CampaignFolder(here / "out", make_cells(combinations), resume=True)
     assert f"file.{here / 'read_car.py'} of cell read_car-Car has changed from" in str(caught.value)
-
-
-def _cells(here: Path, text: str) -> list[Cell]:
-    (here / "cars.yaml").write_text(text)
-    return make_cells(read_campaign(here / "cars.yaml"))
-
-
-def test_a_cell_more_or_fewer_is_said(here: Path) -> None:
-    one, two = _cells(here, TWO.replace("0.5, ", "")), _cells(here, TWO)
-    CampaignFolder(here / "fewer", two).close()
-    CampaignFolder(here / "more", one).close()
-    with pytest.raises(UsageError, match=r"cell basic-C\S+ has gone since this campaign began"):
-        CampaignFolder(here / "fewer", one, resume=True)
-    with pytest.raises(UsageError, match=r"cell basic-C\S+ has come since this campaign began"):
-        CampaignFolder(here / "more", two, resume=True)

@@ -9,7 +9,7 @@ import pytest
 from cli_support import SMALL, names, one_line, skd_from_nothing
 from rich.table import Table
 from skd_evaluator.report.progress import ProgressLines
-from skd_evaluator.report.side_by_side import equal_remarks
+from skd_evaluator.report.tables import equal_remarks
 from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, print_table
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean

@@ -23,7 +23,7 @@ from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.report.charts import alike
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
+from skd_evaluator.report.tables import comparison_table, equal_remarks, verdict_table
 from skd_evaluator.report.terminal import print_table
 
 

@@ -29,7 +29,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.presentation import fill, warnings_of, why_failed
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.side_by_side import sweep_table
+from skd_evaluator.report.tables import sweep_table
 from skd_evaluator.report.terminal import print_table
 
 _RECORDED = "recorded"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import queue
+import concurrent.futures
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,7 +41,6 @@ from skd_evaluator.extensions.campaign.cells import (
     Row,
     done_row,
     open_row,
-    row_of,
 )
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_evaluator.provenance import date_now, provenance
@@ -87,7 +86,7 @@ class Campaign:
         """
         self._folder, self._command, self._maximum_aborted = folder, command, maximum_aborted
         self._begin = time.perf_counter()
-        # Asked here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
+        # Found here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
         # which has the pipe by which the program says that it has begun.
         self._origins: dict[tuple[str, str], dict[str, Any]] = {}
         for cell in cells:
@@ -96,31 +95,22 @@ class Campaign:
                 self._origins[car.controller, words] = provenance(command, car, controller_command=words)
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
-        rows = {cell.name: row_of(cell, folder.path / cell.name, maximum_aborted) for cell in cells}
-        done = {name: row for name, row in rows.items() if row is not None}
+        done = folder.done_rows()
         self._cells = cells
         self.rows: list[Row] = [done.get(cell.name) or open_row(cell) for cell in cells]
-        self._todo = [cell for cell in cells if cell.name not in done]
+        todo = [cell for cell in cells if cell.name not in done]
+        self.in_process = [cell for cell in todo if cell.graph is None]
+        self.through_graph = [cell for cell in todo if cell.graph is not None]
         self._runs: dict[str, StoringRunner] = {}
         self._unsaved: list[Cell] = []  # cells that are done, of which campaign.json does not know yet
         self._saved = self._cost = 0.0
         self._store: EpisodeStore | None = None
-        if self._todo:
+        if todo:
             self._store = EpisodeStore(folder.path / FILE_NAME)
-            self._store.keep_only([cell.key for cell in self._todo])
+            self._store.keep_only([cell.key for cell in todo])
         else:  # who was killed after the last cell has left it
             remove_files(folder.path / FILE_NAME)
         self._save()
-
-    @property
-    def in_process(self) -> list[Cell]:
-        """Cells that are to be run in process."""
-        return [cell for cell in self._todo if cell.graph is None]
-
-    @property
-    def through_graph(self) -> list[Cell]:
-        """Cells that are to be run through the node graph."""
-        return [cell for cell in self._todo if cell.graph is not None]
 
     @property
     def kept_episodes(self) -> int:
@@ -151,76 +141,48 @@ class Campaign:
         else:
             self._store.close()
 
-    def run(self, runner: Workers, progress: Progress, at_once: int) -> None:
-        """Run the cells that run in process.
-
-        A cell that fails is a row that says why; the others go on.
+    def run(self, runner: Workers, progress: Progress, threads: int) -> None:
+        """Run the cells that run in process; one that fails is a row that says why, and the others go on.
 
         Args:
-            runner: started; with `at_once` above one it must serve several threads.
+            runner: started; it serves several threads.
             progress: told how far all of it is.
-            at_once: how many cells.
+            threads: how many cells run at a time.
 
         Raises:
             StoreError: no episode can be stored any more.
             OutOfReachError: none can be run any more.
         """
-        waiting: queue.SimpleQueue[Cell | None] = queue.SimpleQueue()
-        ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
-        whole = _OverallProgress(self.in_process, progress)
-        count = min(at_once, len(self.in_process))
-        for one in (*self.in_process, *[None] * count):
-            waiting.put(one)
-
-        def serve() -> None:
-            problem: BaseException | None = None
-            try:
-                while not self._stop.is_set() and (cell := waiting.get()) is not None:
-                    self._trial(cell, partial(self._assess, cell, runner, whole.of(cell)))
-            except StoppedError:
-                pass
-            except BaseException as error:
-                problem = error
-            finally:
-                ended.put(problem)
-
-        threads = [threading.Thread(target=serve, daemon=True) for _ in range(count)]
-        with self._stopping(runner, threads):
-            for thread in threads:
-                thread.start()
-            for _ in threads:
-                problem = ended.get()
-                if problem is not None:
-                    raise problem
-            with self._lock:
-                self._save()
-
-    @contextmanager
-    def _stopping(self, runner: Workers, threads: Sequence[threading.Thread]) -> Iterator[None]:
-        """See that no thread uses the store or the runner after an error or an interrupt."""
+        tell = _overall(self.in_process, progress)
+        pool = concurrent.futures.ThreadPoolExecutor(threads)
+        running = [pool.submit(self._try, cell, partial(self._assess, cell, runner, tell)) for cell in self.in_process]
         try:
-            yield
-        except BaseException:
+            for future in concurrent.futures.as_completed(running):
+                future.result()
+        except BaseException:  # no thread may use the store or the runner after an error or an interrupt
             self._stop.set()
             runner.close(wait=False)
-            latest = time.monotonic() + _FAREWELL
-            for thread in threads:
-                if thread.ident is not None:
-                    thread.join(max(0.0, latest - time.monotonic()))
+            pool.shutdown(wait=False, cancel_futures=True)
+            concurrent.futures.wait(running, _FAREWELL)
             raise
-
-    def run_graphs(self, progress: Progress, graphs: int) -> None:
-        """Run the cells of the node graph, one after the other, each in `graphs` graphs side by side."""
-        whole = _OverallProgress(self.through_graph, progress)
-        for cell in self.through_graph:
-            self._trial(cell, partial(self._assess_graph, cell, graphs, whole.of(cell)))
+        pool.shutdown()
         with self._lock:
             self._save()
 
-    def _trial(self, cell: Cell, work: Callable[[Callable[[Assessment, Path | None], None]], None]) -> None:
-        """Do the work of a cell, and take note of what came of it."""
+    def run_graphs(self, progress: Progress, graphs: int) -> None:
+        """Run the cells of the node graph, one after the other, each in `graphs` graphs at a time."""
+        tell = _overall(self.through_graph, progress)
+        for cell in self.through_graph:
+            self._try(cell, partial(self._assess_graph, cell, graphs, tell))
+        with self._lock:
+            self._save()
+
+    def _try(self, cell: Cell, work: Callable[[], None]) -> None:
+        """Do the work of a cell; take note of a failure that is the cell's own."""
+        if self._stop.is_set():
+            raise StoppedError
         try:
-            work(partial(self._finish, cell))
+            work()
         except (StoreError, OutOfReachError):
             raise
         except (AssessmentError, UsageError) as error:
@@ -230,38 +192,33 @@ class Campaign:
                 self._row_of(cell).update(state=FAILED, problems=[str(error)])
                 self._save(at_once=False)
 
-    def _assess(
-        self, cell: Cell, runner: Workers, progress: Progress, finish: Callable[[Assessment, Path | None], None]
-    ) -> None:
+    def _assess(self, cell: Cell, runner: Workers, tell: Callable[[Cell], Progress]) -> None:
         begin = time.perf_counter()
-        storing = self._storing(cell, runner)
-        context = Context(
-            storing, runner, progress=progress, fresh=partial(fresh_process, cell.answer_limit), **_request(cell)
-        )
+        fresh = partial(fresh_process, cell.answer_limit)
+        context = Context(self._storing(cell, runner), runner, progress=tell(cell), fresh=fresh, **_request(cell))
         assessment = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
-        finish(replace(assessment, seconds=time.perf_counter() - begin), None)
+        self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), None)
 
-    def _assess_graph(
-        self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Assessment, Path | None], None]
-    ) -> None:
+    def _assess_graph(self, cell: Cell, graphs: int, tell: Callable[[Cell], Progress]) -> None:
         assert cell.graph is not None
         begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
+            setting = GraphSetting(
+                options=replace(cell.graph, graphs=graphs),
+                car=cell.plan.car,
+                log_folder=logs,
+                simulator=cell.plan.simulator,
+            )
             try:
                 assessment = assess_through_graph(
                     Assessment(cell.plan, provenance=self._provenance(cell)),
-                    GraphSetting(
-                        options=replace(cell.graph, graphs=graphs),
-                        car=cell.plan.car,
-                        log_folder=logs,
-                        simulator=cell.plan.simulator,
-                    ),
-                    {**_request(cell), "progress": progress},
+                    setting,
+                    {**_request(cell), "progress": tell(cell)},
                     partial(self._storing, cell),
                 )
             except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
                 raise AssessmentError(f"its graph cannot run: {error}") from error
-            finish(replace(assessment, seconds=time.perf_counter() - begin), logs)
+            self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), logs)
 
     def _storing(self, cell: Cell, runner: Runner) -> StoringRunner:
         assert self._store is not None
@@ -283,15 +240,8 @@ class Campaign:
             if self._stop.is_set():
                 raise StoppedError
             digests = self._folder.write_cell(cell.name, write)
-            self._row_of(cell).update(
-                done_row(
-                    cell,
-                    assessment.as_dict(),
-                    assessment,
-                    maximum_aborted=self._maximum_aborted,
-                    digests=digests,
-                )
-            )
+            row = done_row(cell, assessment, maximum_aborted=self._maximum_aborted, digests=digests)
+            self._row_of(cell).update(row)
             self._unsaved.append(cell)
             self._save(at_once=False)
 
@@ -307,18 +257,13 @@ class Campaign:
         now = time.monotonic()
         if not at_once and now - self._saved < _SELDOM * self._cost:
             return
-        self._write_rows()
+        swept = dict.fromkeys(f"sweep.{key}" for cell in self._cells for key in cell.swept if key not in FIRST)
+        self._folder.write_rows(self.content, (*FIRST, *swept, "episodes", *OF_PLANS, *FIGURES))
         self._saved = time.monotonic()
         self._cost = self._saved - now
         while self._unsaved and self._store is not None:
             self._store.drop(self._unsaved[-1].key)
             self._unsaved.pop()
-
-    def _write_rows(self) -> None:
-        swept = dict.fromkeys(key for cell in self._cells for key in cell.swept if key not in FIRST)
-        self._folder.write_rows(
-            self.content, (*FIRST, *(f"sweep.{key}" for key in swept), "episodes", *OF_PLANS, *FIGURES)
-        )
 
 
 def _request(cell: Cell) -> dict[str, Any]:
@@ -332,44 +277,25 @@ def _request(cell: Cell) -> dict[str, Any]:
     }
 
 
-class _OverallProgress:
-    """The progress of all cells together: episodes that count, of as many as are wanted."""
+def _overall(cells: Sequence[Cell], progress: Progress) -> Callable[[Cell], Progress]:
+    """Return what gives each cell a function to report by: episodes that count, of as many as all cells want."""
+    total = sum(cell.wanted for cell in cells)
+    done: dict[tuple[str, str], int] = {}
+    lock = threading.Lock()
 
-    def __init__(self, cells: Sequence[Cell], progress: Progress) -> None:
-        self._progress = progress
-        self._total = sum(cell.wanted for cell in cells)
-        self._done: dict[tuple[str, str], int] = {}
-        self._wanted: dict[str, int] = {cell.name: cell.wanted for cell in cells}
-        self._lock = threading.Lock()
-
-    def of(self, cell: Cell) -> Progress:
-        """Return a function by which a cell reports its progress."""
-
-        def tell(stage: str, done: int, _total: int) -> None:
-            if not stage.startswith(_COUNTED):
-                return
-            with self._lock:
-                self._done[cell.name, stage] = done
-                self._progress("episodes", min(self._total, sum(self._done.values())), self._total)
+    def of(cell: Cell) -> Progress:
+        def tell(stage: str, count: int, _total: int) -> None:
+            if stage.startswith(_COUNTED):
+                with lock:
+                    done[cell.name, stage] = count
+                    progress("episodes", min(total, sum(done.values())), total)
 
         return tell
+
+    return of
 
 
 def _planned_refusal(rows: Sequence[Row], cells: Sequence[Cell]) -> str:
     """Return why planned figures of the cells cannot be compared, in one line; empty if they can."""
     unlike = unlike_rows({**row, "options": further_options(cell.plan)} for row, cell in zip(rows, cells, strict=True))
     return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
-
-
-def planned_rows(cells: Sequence[Cell]) -> list[Row]:
-    """Return what is asked for, cell by cell, and how many episodes that takes."""
-    names = (*FIRST, *(key for cell in cells for key in open_row(cell) if key.startswith("sweep.")))
-    return [
-        {
-            **{name: value for name, value in open_row(cell).items() if name in names and name != "state"},
-            "graph": cell.graph is not None,
-            "episodes": cell.wanted,
-            "most": cell.most,
-        }
-        for cell in cells
-    ]

@@ -1,20 +1,16 @@
 """A cell of a campaign: one assessment that is ready to run, all that its figures depend on, and its row.
 
-A row is what campaign.json says of the cell. It is always made from the cell's own folder, whose files must be
-unchanged.
+A row is what campaign.json says of the cell, with the SHA-256 of the files of its result.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import sha256_of
 from skd_sim.options.adversary import OBJECTIVES, Objective, objectives_named
 from skd_sim.options.car_under_test import SIMULATORS, CarUnderTest
 from skd_sim.options.options import options_of, values_of
@@ -24,11 +20,9 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.figure_table import columns
-from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.episode_store import digest_of, digest_of_trajectory
-from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
-from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
-from skd_evaluator.assessment.files.verification import assessment_from_file
+from skd_evaluator.assessment.files.episodes_npz import EPISODES
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
 from skd_evaluator.assessment.options import GENERATED, OF_NO_RESULT, CampaignOptions, GraphOptions
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan
@@ -230,24 +224,16 @@ def open_row(cell: Cell) -> Row:
     }
 
 
-def done_row(
-    cell: Cell,
-    figures: Mapping[str, Any],
-    assessment: Assessment,
-    *,
-    maximum_aborted: float,
-    digests: Mapping[str, str],
-) -> Row:
+def done_row(cell: Cell, assessment: Assessment, *, maximum_aborted: float, digests: Mapping[str, str]) -> Row:
     """Return the row of a cell that is done.
 
     Args:
         cell: the cell that is done.
-        figures: content of its assessment.json.
         assessment: its figures.
         maximum_aborted: share of its episodes that may be aborted.
         digests: SHA-256 of the files that hold its result.
     """
-    assessment = replace(assessment, warnings=tuple(figures["warnings"]))
+    figures = assessment.as_dict()
     return {
         **open_row(cell),
         "state": DONE,
@@ -262,49 +248,14 @@ def done_row(
     }
 
 
-def row_of(cell: Cell, folder: Path, maximum_aborted: float) -> Row | None:
-    """Return the row of a cell whose folder is there and whole; None where it is to be run.
-
-    Args:
-        cell: the cell.
-        folder: folder of its result.
-        maximum_aborted: share of its episodes that may be aborted.
-
-    Raises:
-        UsageError: the folder is of another cell, is not what was written, or contradicts itself.
-    """
-    if not folder.is_dir():
-        return None
-    try:
-        if not check_unchanged(folder, CHECKED):
-            raise UsageError(f"{folder}: has no {MANIFEST}: nobody knows whether it is what was written")
-        digests = {name: sha256_of(folder / name) for name in CHECKED}
-        figures = read_figures(folder)
-        stored = read_episodes(folder)
-        with understood(folder / ASSESSMENT):
-            _check_cell(cell, folder, figures, len(stored.safe))
-            assessment = assessment_from_file(figures, stored)
-            return done_row(cell, figures, assessment, maximum_aborted=maximum_aborted, digests=digests)
-    except UsageError as error:
-        raise UsageError(f"{error}; remove {folder}, and --resume makes it again") from error
-
-
-def _check_cell(cell: Cell, folder: Path, figures: Mapping[str, Any], safe_count: int) -> None:
-    """Refuse a folder that holds the result of another cell."""
-    plan = cell.plan
-    requested = {
-        "controller": plan.controller,
-        "multiplier": plan.car.stated_multiplier,
-        "safe": plan.safe,
-        "seed": plan.seed,
-        "simulations": plan.simulations,
-        "maximum_distance": plan.maximum_distance,
-        "scenario": json.loads(json.dumps(plan.scenario.as_dict())),
-    }
-    wrong = [name for name, value in requested.items() if figures[name] != value]
-    if set(figures["objectives"]) != set(map(str, cell.objectives)):
-        wrong.append("objectives")
-    if safe_count != plan.safe_count:
-        wrong.append("number of φ")
-    if wrong:
-        raise UsageError(f"{folder}: is the result of another cell: its {wrong[0]} differs")
+def planned_rows(cells: Sequence[Cell]) -> list[Row]:
+    """Return what is requested, cell by cell, and how many episodes that takes."""
+    return [
+        {
+            **{key: value for key, value in open_row(cell).items() if key in FIRST or key.startswith("sweep.")},
+            "graph": cell.graph is not None,
+            "episodes": cell.wanted,
+            "most": cell.most,
+        }
+        for cell in cells
+    ]

@@ -6,11 +6,13 @@ import argparse
 import importlib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
+from rich.table import Table
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeSpec
 
@@ -23,14 +25,15 @@ from skd_evaluator.cli.arguments import output_path, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import OutOfReachError
-from skd_evaluator.extensions.campaign.campaign import Campaign, planned_rows
+from skd_evaluator.extensions.campaign.campaign import Campaign
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, make_cells
+from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, make_cells, planned_rows
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
+from skd_evaluator.report.formats import interval, number, percent
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.repeat import program
-from skd_evaluator.report.side_by_side import campaign_table, equal_remarks, plan_table
-from skd_evaluator.report.terminal import counted, print_table
+from skd_evaluator.report.tables import credibility_mark, equal_remarks
+from skd_evaluator.report.terminal import bounded_cell, counted, narrow_table, print_table
 from skd_evaluator.ros.session import prepare_ros
 
 _CELLS_ON_A_CLUSTER = 8
@@ -108,7 +111,7 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
                 runner.start(_planners(in_process), inherited=load_margins)
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
             with progress_bar(quiet=arguments.quiet) as progress:
-                campaign.run(runner, progress, _at_once(arguments))
+                campaign.run(runner, progress, _threads(arguments))
     if through_graph := campaign.through_graph:
         for cell in through_graph:
             compile_for_graph(cell.plan, cell.objectives)
@@ -116,10 +119,8 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
             campaign.run_graphs(progress, arguments.graphs)
 
 
-def _at_once(arguments: argparse.Namespace) -> int:
+def _threads(arguments: argparse.Namespace) -> int:
     """Return how many cells run at a time: while one has few episodes left, another has many."""
-    if arguments.at_once:
-        return int(arguments.at_once)
     return _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, arguments.workers or available_workers())
 
 
@@ -187,3 +188,32 @@ def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) ->
             print(f"skd campaign: {row['name']}: {state}{problem}", file=sys.stderr)
     assert all(row["state"] in (DONE, FAILED) for row in content["cells"])
     return 1 if failures else 0
+
+
+def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of the cells of a campaign before they run."""
+    keys = ("name", "scenario", "safe", "episodes", "most")
+    cells = [[escape(str(row[key])) for key in keys] for row in rows]
+    return narrow_table("Cells", ("cell", "scenario", "safe", "episodes", "at most"), cells)
+
+
+def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
+    heads = ["cell", "margin\n(m)", "95 %,\nby φ", "equiv.\nC", "nominal\ncollisions", "planned\n(m)"]
+    heads += ["knowl-\nedge", "SKD\n(m)"]
+    cells = [
+        [
+            f"{escape(str(row['name']))}{credibility_mark(row)}",
+            bounded_cell(row, number(row["margin"])),
+            interval(row["margin_ci95"]),
+            bounded_cell(row, number(row["equivalent_multiplier"])),
+            percent(row["nominal_collision_rate"]),
+            number(row["deviation"]),
+            str(row["knowledge"]),
+            number(row["skd"]),
+        ]
+        if row["sha256"]
+        else [escape(str(row["name"])), f"[red]{row['state']}[/]"]
+        for row in rows
+    ]
+    return narrow_table("What the cells came to", heads, cells)

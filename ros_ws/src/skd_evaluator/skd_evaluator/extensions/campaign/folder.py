@@ -51,13 +51,13 @@ class CampaignFolder:
 
         Args:
             path: path of the folder.
-            cells: what is asked for.
+            cells: what is requested.
             resume: whether to go on with what is there.
             overwrite: whether to replace what is there.
 
         Raises:
-            UsageError: it holds something else, another process works in it, or what was asked for
-                then is not what is asked for now.
+            UsageError: it holds something else, another process works in it, or what was requested
+                then is not what is requested now.
             OSError: it cannot be written.
         """
         self.path = path
@@ -154,6 +154,25 @@ class CampaignFolder:
         shutil.rmtree(folder)
 
     # --- what is done
+
+    def done_rows(self) -> dict[str, dict[str, Any]]:
+        """Return the rows of cells that are done and whose folders are there, by their names.
+
+        Raises:
+            UsageError: a result is not what was written.
+        """
+        if not self.resumed or not (self.path / CAMPAIGN).exists():
+            return {}
+        rows = {str(row["name"]): row for row in _read_json(self.path / CAMPAIGN)["cells"] if row.get("sha256")}
+        found = {name: row for name, row in rows.items() if (self.path / name).is_dir()}
+        for name, row in found.items():
+            for file, digest in row["sha256"].items():
+                path = self.path / name / file
+                if not path.is_file() or sha256_of(path) != digest:
+                    raise UsageError(
+                        f"{path}: is not what was written; remove {path.parent}, and --resume makes it again"
+                    )
+        return found
 
     @contextmanager
     def logs(self, cell: str) -> Iterator[Path]:

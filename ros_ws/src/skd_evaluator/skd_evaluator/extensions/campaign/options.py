@@ -31,10 +31,8 @@ def add_campaign(commands: Any) -> None:
         "--dry-run", action="store_true", help="only say which assessments there would be, and of how many episodes"
     )
     add_runner_arguments(campaign)
-    shared = "how many assessments share the processes at a time (default: 2, with --scheduler 8)"
-    add_count(campaign, "--at-once", 1, 256, shared)
-    side_by_side = "how many node graphs run side by side, for assessments that say graph: true"
-    add_count(campaign, "--graphs", 1, 16, side_by_side, default=1)
+    graphs = "how many node graphs run at a time, for assessments that say graph: true"
+    add_count(campaign, "--graphs", 1, 16, graphs, default=1)
     add_max_aborted_argument(campaign)
     add_output_arguments(campaign)
     campaign.set_defaults(module="skd_evaluator.extensions.campaign.command")

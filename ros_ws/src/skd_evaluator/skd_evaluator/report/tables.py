@@ -1,4 +1,4 @@
-"""Tables of several cars: the cells of a campaign, a comparison, a sweep."""
+"""Tables of several cars: a comparison, a sweep."""
 
 from __future__ import annotations
 
@@ -9,48 +9,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
-from skd_evaluator.report.formats import BARE, TERMINAL, interval, number, percent
+from skd_evaluator.report.formats import BARE, TERMINAL
 from skd_evaluator.report.terminal import bounded_cell, credibility, narrow_table
 
 _number, _interval = TERMINAL.number, TERMINAL.interval
 
 
-def _doubt(row: Mapping[str, Any]) -> str:
-    """Return what stands behind the name of a car whose figures may be those of another one."""
-    return f", [red]{said}[/]" if (said := _worth(row)) else ""
-
-
-def _worth(row: Mapping[str, Any]) -> str:
-    return credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
-
-
-def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of the cells of a campaign before they run."""
-    keys = ("name", "scenario", "safe", "episodes", "most")
-    cells = [[escape(str(row[key])) for key in keys] for row in rows]
-    return narrow_table("Cells", ("cell", "scenario", "safe", "episodes", "at most"), cells)
-
-
-def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
-    heads = ["cell", "margin\n(m)", "95 %,\nby φ", "equiv.\nC", "nominal\ncollisions", "planned\n(m)"]
-    heads += ["knowl-\nedge", "SKD\n(m)"]
-    cells = [
-        [
-            f"{escape(str(row['name']))}{_doubt(row)}",
-            bounded_cell(row, number(row["margin"])),
-            interval(row["margin_ci95"]),
-            bounded_cell(row, number(row["equivalent_multiplier"])),
-            percent(row["nominal_collision_rate"]),
-            number(row["deviation"]),
-            str(row["knowledge"]),
-            number(row["skd"]),
-        ]
-        if row["sha256"]
-        else [escape(str(row["name"])), f"[red]{row['state']}[/]"]
-        for row in rows
-    ]
-    return narrow_table("What the cells came to", heads, cells)
+def credibility_mark(row: Mapping[str, Any]) -> str:
+    """Return what stands behind the name of a car whose figures are not credible."""
+    said = credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
+    return f", [red]{said}[/]" if said else ""
 
 
 def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
@@ -64,7 +32,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     heads = ("car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "equivalent\nmultiplier")
     cells = [
         [
-            f"{escape(row['car'])}{_doubt(row)}",
+            f"{escape(row['car'])}{credibility_mark(row)}",
             bounded_cell(row, _number(row["margin"])),
             _interval(row["margin_ci95"], 2),
             TERMINAL.share(row["nominal_collision_rate"]),
