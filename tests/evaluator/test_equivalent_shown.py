@@ -30,7 +30,7 @@ def html_cells(folder) -> list[str]:
     """Value, interval by φ and the other one, of the table of ratings."""
     html = page.render(read_subjects([folder]))
     (row,) = re.findall(r'<th scope="row">equivalent multiplier C</th>(.*?)</tr>', html)
-    return re.findall(r'<td class="n">(.*?)</td>', row)
+    return re.findall(r'<td data-label="[^"]*" class="n[^"]*">(.*?)</td>', row)
 
 
 @pytest.mark.parametrize("case", FOUND)
