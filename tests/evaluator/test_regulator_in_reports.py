@@ -68,6 +68,7 @@ def found(
     figures = {
         "static_tests": [test],
         "per_safe_trajectory": [{"name": f"regulatory/{place:g}", "deviation": 2.0}],
+        "car": car,
         "controller": car,
         "multiplier": 1.0,
         "eta_max": 5.0,

@@ -75,7 +75,7 @@ def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, 
     for place in ("#verdict", "#view svg", "#play", "#hits svg"):
         box = one.page.locator(place).bounding_box()
         assert box["y"] + box["height"] <= 900, place
-    assert re.search(r"Safety margin \d\.\d\d m \(95 % CI \d\.\d\d–\d\.\d\d", one.text("#verdict"))
+    assert re.search(r"Safety margin \d\.\d\d m \[\d\.\d\d, \d\.\d\d\]", one.text("#verdict"))
     episodes = subjects[0].episodes
     worst = int(episodes.worst_first()[0])
     assert "Hit by the car's" in one.text("#place")
