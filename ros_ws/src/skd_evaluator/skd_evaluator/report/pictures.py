@@ -32,6 +32,7 @@ mpl.use("Agg")
 _APPROACH, _LANE_SHOWN = 2.5, 80.0  # m of a lane that are in the picture at least, and of a curved one that are drawn
 _LABELLED = 3
 """Ticks between those whose time stands beside φ."""
+_BETWEEN = 0.8  # m between two of these times
 _HEADING, _NAME = 100, 30  # characters of a line of the heading, and of the name of a φ
 PANELS = 6
 """Most φ that one picture shows."""
@@ -163,9 +164,14 @@ def _draw_panel(axes: Axes, scenario: Scenario, phi: Trajectory, box: tuple[floa
     """Draw lanes and φ, with its time at every third tick."""
     draw_road(axes, scenario, *(box[2:] if scenario.road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
     axes.plot(*phi.positions.T, color=palette.SAFE, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ, a dot each tick")
+    last = np.full(2, np.inf)
     for number in range(0, len(phi), _LABELLED):
+        place = phi.positions[number]
+        if np.linalg.norm(place - last) < _BETWEEN:
+            continue
+        last = place
         axes.annotate(
-            f"{number * phi.time_step:.1f} s", phi.positions[number], xytext=(0, -4), textcoords="offset points",
+            f"{number * phi.time_step:.1f} s", place, xytext=(0, -4), textcoords="offset points",
             fontsize=TYPE, ha="center", va="top", color=palette.SAFE, zorder=6,
             bbox={"fc": "white", "ec": "none", "alpha": 0.6, "pad": 0.5},
         )  # fmt: skip
