@@ -81,8 +81,8 @@ def drawn(path) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "counts",
-    [[3], [3, 2], [0], [0, 3], [3, 0, 1], [0, 0, 0], [1] * 6, [2] * 9, [60, 50]],
-    ids=["one", "two", "none", "first-empty", "second-empty", "all-empty", "six", "more-than-six", "many"],
+    [[3], [0], [0, 3, 1], [2] * 9, [60, 50]],
+    ids=["one", "none", "first-empty", "more-than-six", "many"],
 )
 def test_trajectories(tmp_path, counts):
     draw(tmp_path / "picture.png", assessment(counts))
@@ -108,11 +108,10 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
     "rows",
     [
         [row(kind, c, 3.0 + c) for kind in ("synthetic", "recorded") for c in (0.5, 1.0, 1.15)],
-        [row("synthetic", 1.0, 3.0)],
         [row("synthetic", 0.5, None), row("synthetic", 1.0, 3.0)],
         [{**row("synthetic", 0.5, 2.0), "skd_ci95_pairs": None}],
     ],
-    ids=["both", "one-point", "a-gap", "no-interval"],
+    ids=["both", "a-gap", "no-interval"],
 )
 def test_sweep(tmp_path, rows):
     save_sweep(tmp_path / "sweep.png", rows)
