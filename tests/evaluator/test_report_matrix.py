@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from skd_evaluator.report.charts import comparison_charts
+from skd_evaluator.report.charts import against_multiplier, comparison_charts
 from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
@@ -43,6 +43,13 @@ def test_lines_of_charts_join_cars_of_one_scenario(subjects):
         kinds = {row["car"]: row["kind"] for row in chart["data"]["values"]}
         assert len(set(kinds.values())) == 2
         assert all(kind.startswith("there" if car.endswith("there") else "crossing") for car, kind in kinds.items())
+
+
+def test_no_line_joins_cars_of_one_multiplier(subjects):
+    """As of one scenario at two speeds: there is no order in which to join them."""
+    here = subjects[::2]
+    assert against_multiplier(subjects)
+    assert not against_multiplier([*here, dataclasses.replace(here[0], label="again")])
 
 
 def test_the_page_has_it_before_all_else(subjects):

@@ -255,9 +255,10 @@ def interval_band(curve: Mapping[str, Any]) -> tuple[FloatArray, FloatArray, Flo
 
 
 def against_multiplier(subjects: Sequence[Subject]) -> bool:
-    """Return whether cars are drawn against C: all have one, and not all the same."""
-    found = {one.figures["multiplier"] for one in subjects}
-    return len(found) > 1 and None not in found
+    """Return whether cars are drawn against C: all have one, not all the same, and none twice of what a line joins."""
+    found = [one.figures["multiplier"] for one in subjects]
+    joined = {(one.scenario.name, one.kind, one.figures["multiplier"]) for one in subjects}
+    return len(set(found)) > 1 and None not in found and len(joined) == len(subjects)
 
 
 def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
