@@ -78,27 +78,27 @@ class Pedals:
     @cached_property
     def limits(self) -> CommandLimits:
         """Least and greatest acceleration that they give, m/s²."""
-        return CommandLimits(-self._brake.accelerations[-1], self._throttle.accelerations[-1])
+        return CommandLimits(-self._brake[1][-1], self._throttle[1][-1])
 
     def pedal(self, acceleration: float) -> float:
         """Return MetaDrive's number, in [−1, 1] and never 0, for an acceleration within the limits (m/s²)."""
         if acceleration <= 0.0:
-            return -max(_TOUCH, self._brake.pedal(-acceleration))
-        return max(_TOUCH, self._throttle.pedal(acceleration))
+            return -max(_TOUCH, float(np.interp(-acceleration, *self._brake[::-1])))
+        return max(_TOUCH, float(np.interp(acceleration, *self._throttle[::-1])))
 
     def acceleration(self, pedal: float) -> float:
         """Return the acceleration (m/s²) for MetaDrive's number, in [−1, 1]; the inverse of `pedal`."""
         if pedal == 0.0:
             return self.coasting
-        return -self._brake.acceleration(-pedal) if pedal < 0.0 else self._throttle.acceleration(pedal)
+        return -float(np.interp(-pedal, *self._brake)) if pedal < 0.0 else float(np.interp(pedal, *self._throttle))
 
     @cached_property
-    def _brake(self) -> _Line:
-        return _Line.through(self.brakes)
+    def _brake(self) -> tuple[list[float], list[float]]:
+        return _line(self.brakes)
 
     @cached_property
-    def _throttle(self) -> _Line:
-        return _Line.through(self.throttles)
+    def _throttle(self) -> tuple[list[float], list[float]]:
+        return _line(self.throttles)
 
     def as_dict(self) -> dict[str, Any]:
         """Return them as plain data, as results keep them: pairs of pedal and acceleration, m/s²."""
@@ -109,20 +109,10 @@ class Pedals:
         }
 
 
-class _Line(NamedTuple):
-    """A broken line that rises from (0, 0): positions of one pedal, and the size of the acceleration there, m/s²."""
+def _line(points: tuple[MeasuredPedal, ...]) -> tuple[list[float], list[float]]:
+    """Return a line that rises from (0, 0): positions of a pedal, and the size of the acceleration there, m/s².
 
-    pedals: list[float]
-    accelerations: list[float]
-
-    @classmethod
-    def through(cls, points: tuple[MeasuredPedal, ...]) -> _Line:
-        """Return the line through what was measured; where more pedal did less, it stays level."""
-        sizes = np.maximum.accumulate([0.0, *(abs(one.acceleration) for one in points)])
-        return cls([0.0, *(one.pedal for one in points)], sizes.tolist())
-
-    def pedal(self, acceleration: float) -> float:
-        return float(np.interp(acceleration, self.accelerations, self.pedals))
-
-    def acceleration(self, pedal: float) -> float:
-        return float(np.interp(pedal, self.pedals, self.accelerations))
+    Where more pedal did less, it stays level.
+    """
+    sizes = np.maximum.accumulate([0.0, *(abs(one.acceleration) for one in points)])
+    return [0.0, *(one.pedal for one in points)], sizes.tolist()
