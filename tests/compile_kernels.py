@@ -14,6 +14,9 @@ from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 
+CARS = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
+"""Controllers and dynamics that nobody has modelled."""
+
 
 def compile_planners(controller: str, dynamics: str) -> None:
     """Compile the planners of a car that nobody has modelled."""
@@ -33,11 +36,10 @@ def compile_distances() -> None:
 
 def works() -> list[Callable[[], None]]:
     """Return what is to be compiled, in parts that have much in common with few others."""
-    cars = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
     planners = [(objective, model) for model in ("", *any_car_models()) for objective in DEFAULT_OBJECTIVES]
     return [
         compile_distances,
-        *(partial(compile_planners, *car) for car in cars),
+        *(partial(compile_planners, *car) for car in CARS),
         *(partial(compile_objective, *one) for one in planners),
     ]
 

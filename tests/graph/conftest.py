@@ -16,7 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from common import new_domain
-from compile_kernels import compile_planners
+from compile_kernels import CARS, compile_planners
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
 from skd_evaluator.assessment.plan import Plan
@@ -37,7 +37,8 @@ os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
     """Kernels are on disk before a node starts: dozens that each compile them all would come too late for any limit."""
-    compile_planners()
+    for car in CARS:
+        compile_planners(*car)
 
 
 @pytest.fixture(scope="session")
