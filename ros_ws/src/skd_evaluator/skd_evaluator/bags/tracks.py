@@ -322,9 +322,9 @@ def bag_tracks(
             if faults:
                 raise UsageError(f"{faults[-1]}: nothing of {topic}")
             readable = [one for one, kind in bag.topics.items() if kind in (*_READ, _TRANSFORMS)]
-            raise UsageError(
-                f"{bag.where}: has no message on {topic}; it has {listed(readable)}: name them by --car and --road-user"
-            )
+            some = f"it has {listed(readable)}: name them by --car and --road-user"
+            none = f"none of its {len(bag.topics)} topics is of a type that is read: {', '.join(_READ)}"
+            raise UsageError(f"{bag.where}: has no message on {topic}; {some if readable else none}")
     if len({how for _, how in found.values()}) > 1:
         raise UsageError(
             f"{bag.where}: some of {', '.join(names)} have no stamps, so nothing says when both were where"

@@ -183,6 +183,8 @@ def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage |
             raise UsageError(f"{path}: --frame car needs one --road-user and one --car of its tracks")
         return [TrackSource(f"{path.stem}_{one.name}", path, form, _cut(one, request), None) for one in found]
     others = [one for one in found if one.name != usual[0]] if request.road_user is None else found
+    if found and not others:
+        raise UsageError(f"{path}: has nobody beside {usual[0]!r}, who is taken for the car: name one by --road-user")
     user = _one_of(others, request.road_user, usual[1], "--road-user", path)
     car = _one_of(found, request.car or usual[0], usual[0], "--car", path) if request.needs_car else None
     stem = _OSI_NAME.sub("", path.stem)
