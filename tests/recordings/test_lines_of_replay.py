@@ -24,6 +24,6 @@ def test_a_search_that_found_no_hit_is_said(tmp_path: Path, capsys: pytest.Captu
     write_mcap(tmp_path / "recorded.mcap", messages, checksums=False)
     run_skd("replay", tmp_path / "recorded.mcap", "--margin-limit", 64, "--out", tmp_path / "out")
     printed = capsys.readouterr()
-    assert "no hit found within 5 m" in printed.out
+    assert "No hit found within 5 m" in printed.out
     said = printed.err.splitlines()
     assert sum("without checksums" in line for line in said) == 1
