@@ -34,7 +34,7 @@ from skd_evaluator.metrics.deviation import Hit, deviation
 from skd_evaluator.metrics.statistics import mean
 
 MARGIN = "margin"
-Ways = Sequence[Sequence[Hit | None]]
+Hits = Sequence[Sequence[Hit | None]]
 """For each φ the hits of least deviation, one a trial; None: no hit was found."""
 _LOWERED = 1e-3  # m: less is not said
 
@@ -53,9 +53,9 @@ def on_common_trajectories(
     searched = [one for one in both if one.figures.get("margin_budget") is not None]
     if not searched or any(MARGIN not in one.groups for one in both) or refusals(first, second):
         return first, second, ()
-    ways = [read_episodes(one.folder).margin_hits for one in both]
+    hits = [read_episodes(one.folder).margin_hits for one in both]
     found, lines = [], []
-    for one, mine, other, theirs in zip(both, ways, both[::-1], ways[::-1], strict=True):
+    for one, mine, other, theirs in zip(both, hits, both[::-1], hits[::-1], strict=True):
         if one not in searched:
             found.append(one)
             continue
@@ -81,21 +81,21 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     return not_worse(mine, earlier, lines)
 
 
-def _hits(result: StoredResult, ways: Ways) -> list[OtherHit]:
+def _hits(result: StoredResult, hits_per_phi: Hits) -> list[OtherHit]:
     """Return the hits of least deviation of a result, least first."""
-    found = [(way, phi) for phi, mine in zip(result.safe, ways, strict=True) for way in mine if way is not None]
-    return [OtherHit(phi, _whole(way)) for way, phi in sorted(found, key=lambda one: one[0].distance)]
+    found = [(hit, phi) for phi, mine in zip(result.safe, hits_per_phi, strict=True) for hit in mine if hit is not None]
+    return [OtherHit(phi, _whole(hit)) for hit, phi in sorted(found, key=lambda one: one[0].distance)]
 
 
-def _whole(way: Hit) -> FloatArray:
+def _whole(hit: Hit) -> FloatArray:
     """Return the positions of a hit, n × 2, m, the last of them not at the contact but at the end of its tick."""
-    positions = way.trajectory.positions
+    positions = hit.trajectory.positions
     before, contact = positions[-2:]
-    share = max(way.duration - (len(positions) - 2), 1e-9)
+    share = max(hit.duration - (len(positions) - 2), 1e-9)
     return np.concatenate([positions[:-1], [before + (contact - before) / share]])
 
 
-def _margins(result: StoredResult, ways: Ways, hits: Sequence[OtherHit], progress: Progress) -> tuple[FloatArray, ...]:
+def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress: Progress) -> tuple[FloatArray, ...]:
     """Return the margins of each φ, m, of a car that also meets some other trajectories.
 
     Raises:
@@ -104,11 +104,11 @@ def _margins(result: StoredResult, ways: Ways, hits: Sequence[OtherHit], progres
     """
     trials, groups = _trials(result), result.groups[MARGIN]
     driven, stored = [], []
-    for index, mine in enumerate(ways):
-        for trial, way in zip(trials[index], mine, strict=True):
-            if way is not None:
-                driven.append(prescribed(trial, _whole(way)))
-                stored.append((result.safe[index], way.distance))
+    for index, mine in enumerate(own):
+        for trial, hit in zip(trials[index], mine, strict=True):
+            if hit is not None:
+                driven.append(prescribed(trial, _whole(hit)))
+                stored.append((result.safe[index], hit.distance))
     first = trials[0][0]
     with InProcessRunner(available_workers(), isolated=not first.car.is_own) as runner:
         runner.start()

@@ -113,19 +113,11 @@ def _learn(
 class Surrogate:
     """Samples of one controller, in the order of their gaps."""
 
-    def __init__(self, within_ticks: bool, samples: FloatArray | None = None) -> None:
-        """Begin with known samples (n × 7), of a car that decides within a tick or only at its begin."""
-        self.rows = np.empty((_MOST, SITUATION + 1))
-        self.count = 0 if samples is None else min(_MOST, len(samples))
-        if samples is not None:
-            self.rows[: self.count] = samples[: self.count]
+    def __init__(self, within_ticks: bool) -> None:
+        """Begin without samples, of a car that decides within a tick or only at its begin."""
+        self.rows, self.count = np.empty((_MOST, SITUATION + 1)), 0
         self._surprise = _SURPRISE[1] if within_ticks else _SURPRISE[0]
         self._weights = np.array(WEIGHTS)
-
-    @property
-    def samples(self) -> FloatArray:
-        """All samples, n × 7."""
-        return self.rows[: self.count]
 
     def learn(self, situations: FloatArray, accelerations: FloatArray) -> None:
         """Keep what was seen unless it was predicted."""
@@ -144,10 +136,3 @@ class Surrogate:
             if error < least:
                 found, least = weights, error
         return found
-
-    def range(self) -> tuple[float, float]:
-        """Return the hardest braking (at most −1) and the strongest speeding up (at least 0) that was seen, m/s²."""
-        if not self.count:
-            return -1.0, 0.0
-        seen = self.samples[:, SITUATION]
-        return min(-1.0, float(seen.min())), max(0.0, float(seen.max()))
