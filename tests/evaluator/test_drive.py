@@ -173,6 +173,9 @@ def test_a_drive_that_is_cut_short_has_the_scenarios_own_ways(skd_here, safe):
 
 def test_on_a_terminal_one_walks_by_keys(here):
     terminal = Terminal([sys.executable, "-m", "skd_evaluator", "drive", "--multiplier", "0.5"], PYTHONPATH=str(here))
+    terminal.wait_for("press a key to begin")
+    assert "clearance" not in terminal.text  # it waits
+    terminal.press(" ")
     terminal.wait_for("clearance 1")  # it has begun
     assert "arrows or w a s d: walk" in terminal.text
     terminal.press("\x1b[B")
@@ -190,6 +193,8 @@ def test_the_terminal_is_given_back_when_it_is_left(here):
     """Below a shell, as a user has it: Ctrl-Z does nothing, and after Ctrl-C the shell shows what is typed."""
     shell = Terminal(["/bin/bash", "--norc", "--noprofile", "-i"], PYTHONPATH=str(here), PS1="> ")
     shell.press(f"{sys.executable} -m skd_evaluator drive\r")
+    shell.wait_for("press a key to begin")
+    shell.press(" ")
     shell.wait_for("clearance 1")
     shell.press("\x1a\x1c+")  # and a key, without the enter key
     shell.wait_for(r"time \d")

@@ -140,7 +140,7 @@ def _plan_and_graph(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     plan = plan_of(values, scenario)
     both_ways = {} if arguments.graph else {"rate_factor": GraphOptions.rate_factor}
     scenario = check_car({**values, **both_ways}, plan.scenario, graph=arguments.graph)
-    values |= {"pacing": REAL_TIME, "slip_limit": _LENIENT}
+    values |= {"pacing": REAL_TIME, "slip_limit": _LENIENT, "quiet_time": None}  # the wall clock does not wait
     return replace(plan, scenario=scenario), GraphOptions(**values_of(GraphOptions, values))
 
 
@@ -202,7 +202,17 @@ def _driven(drive: Drive, episode: EpisodeSpec) -> EpisodeLog:
 
 
 def _watched(drive: Drive, episodes: _Episodes, controls: Controls, screen: Screen) -> Iterator[EpisodeLog]:
-    """Drive one episode after another until somebody has seen enough; yield what happened in those that ended."""
+    """Drive one episode after another until the user has seen enough; yield what happened in those that ended.
+
+    Where keys move the adversary, the first one begins.
+    """
+    if episodes.by_keys:
+        screen.waiting = "press a key to begin"
+        while not controls.pressed:
+            time.sleep(_NAP)
+        if controls.take() is Wish.QUIT:
+            return
+        screen.waiting = "starting"
     for number in itertools.count():
         screen.over = ""
         try:

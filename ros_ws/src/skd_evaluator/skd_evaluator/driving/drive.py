@@ -191,17 +191,20 @@ class Controls:
 
     Attributes:
         hand: the adversary that keys move; None where it follows φ.
+        pressed: whether a key was pressed at all.
     """
 
     def __init__(self) -> None:
         """Want nothing yet."""
         self.hand: Hand | None = None
+        self.pressed = False
         self._wish = Wish.NONE
         self._lock = threading.Lock()
 
     def press(self, key: str) -> None:
         """Take a key by its name."""
         with self._lock:
+            self.pressed = True
             if self._wish is not Wish.QUIT and key in _WISHES:
                 self._wish = _WISHES[key]
                 return

@@ -470,7 +470,6 @@ class SimulatorOptions(CommandOptions, StateOptions):
         metavar="S",
         unset="the simulator waits until each state is answered",
         external_only=True,
-        commands=_RATED,
     )
     command_timeout: float = graph_option(
         5.0,
