@@ -85,7 +85,7 @@ def test_sources_file_and_folder(tmp_path: Path) -> None:
     assert [t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 2)] == ["a", "c"]
     assert [t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 1)] == ["b"]
     assert [t.name for t in load_safe_trajectories(str(tmp_path / "b.csv"), SCENARIO, 1)] == ["b"]
-    with pytest.raises(UsageError, match="3 usable safe trajectories where 5 were asked for"):
+    with pytest.raises(UsageError, match="3 usable safe trajectories where 5 were requested"):
         load_safe_trajectories(str(tmp_path), SCENARIO, 5)
     _write(tmp_path, "t,x,y\n0,-3.5,0\nx,1,0\n", "d.csv")
     with pytest.raises(UsageError, match=r"d\.csv, line 3: t must be a number"):

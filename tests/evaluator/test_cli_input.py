@@ -29,7 +29,7 @@ def test_bad_safe_trajectory(here, skd_here, content, parts):
 
 def test_too_few_recorded_trajectories(here):
     done = skd("assess", "--safe", "good.csv", "--safe-count", "5", cwd=here)
-    one_line(done, 2, "good.csv", "1 usable", "5 were asked for")
+    one_line(done, 2, "good.csv", "1 usable", "5 were requested")
     assert not (here / "skd_results").exists()
 
 

@@ -1,15 +1,59 @@
-"""What `skd` says of itself, wherever it is written to, and from wherever it is started."""
+"""What `skd` says of itself, wherever it is written to, and the words of its help and its errors."""
 
 from __future__ import annotations
 
+import argparse
+import ast
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from cli_support import one_line
 from common import run_skd
+from skd_evaluator.cli.arguments import Parser
+from skd_evaluator.cli.commands import commands_of, make_parser
+
+SOURCES = Path(__file__).parents[2] / "ros_ws" / "src"
+LONGEST = 25  # words of a sentence
+PRIVATE = re.compile(
+    r"\b(asked|told|led|lot|somebody|whoever|wanted|stray\w*|attempt\w*|struck|bent|bend\w*|keeper|"
+    r"foretold|foresight|doubt\w*|closeness|encounter\w*|deform\w*)\b",
+    re.IGNORECASE,
+)
+"""Words that a reader of the field would have to learn, for trial, deviation, sample, system under test and others."""
+
+
+@pytest.fixture
+def commands() -> Iterator[dict[str, argparse.ArgumentParser]]:
+    """The parsers of all commands, whose help has every option."""
+    yield commands_of(make_parser(["--help-all"]))
+    Parser.everything = False
+
+
+def texts_of(command: argparse.ArgumentParser) -> Iterator[str]:
+    yield command.description or ""
+    for one in command._actions:
+        if one.help:
+            yield command._get_formatter()._expand_help(one)
+
+
+def errors() -> Iterator[tuple[str, str]]:
+    """Place and text of every message that is raised; what is filled in stands as one word."""
+    for path in sorted(SOURCES.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                for one in node.exc.args:
+                    if isinstance(one, ast.Constant | ast.JoinedStr):
+                        parts = one.values if isinstance(one, ast.JoinedStr) else [one]
+                        words = [part.value if isinstance(part, ast.Constant) else "X" for part in parts]
+                        yield f"{path.name}:{node.lineno}", "".join(map(str, words))
+
+
+def too_long(text: str, ends: str) -> list[str]:
+    return [one for one in re.split(rf"(?<=[{ends}])\s", text) if len(one.split()) > LONGEST]
 
 
 @pytest.mark.parametrize("words", [["--version"], ["assess", "--help"]])
@@ -21,10 +65,24 @@ def test_help_that_cannot_be_written_is_an_error_in_a_line(here, words):
     one_line(done, 1, "skd: error", "No space left on device")
 
 
-def test_every_command_explains_itself(capsys):
+def test_every_command_explains_itself_in_few_options(capsys):
     assert run_skd("--help") == 0
-    commands = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
-    assert {"assess", "episode", "probe"} <= set(commands)
-    for command in commands:
-        assert run_skd(command, "--help") == 0, command
-        assert f"usage: skd {command}" in capsys.readouterr().out
+    names = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
+    assert {"assess", "episode", "probe"} <= set(names)
+    assert len(names) == len(set(names)) <= 18
+    for name in names:
+        assert run_skd(name, "--help") == 0, name
+        said = capsys.readouterr().out
+        assert f"usage: skd {name}" in said
+        assert len(re.findall(r"^  -", said, re.MULTILINE)) <= 25, name
+        assert run_skd(name, "--help-all") == 0, name
+        assert len(capsys.readouterr().out) >= len(said) - 60  # of the line that says how many there are
+
+
+def test_no_sentence_is_long_and_no_word_private(commands):
+    texts = [(name, text) for name, command in commands.items() for text in texts_of(command)]
+    assert len(texts) > 300
+    assert [(name, one) for name, text in texts for one in too_long(text, ".!?")] == []
+    assert [(place, one) for place, text in errors() for one in too_long(text, ".!?;:")] == []
+    assert [(name, text) for name, text in texts if PRIVATE.search(text)] == []
+    assert [(place, text) for place, text in errors() if PRIVATE.search(text)] == []

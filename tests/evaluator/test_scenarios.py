@@ -89,7 +89,7 @@ def test_who_cannot_do_it_says_so() -> None:
     with pytest.raises(UsageError, match="controller cal has learned hazards on straight roads"):
         replays(replace(RIGHT_TURN, control_period=0.05), 1, controller="cal")
     episode = EpisodeSpec(RIGHT_TURN, Mode.REPLAY, 0, 0, safe_trajectory=across(RIGHT_TURN))
-    with pytest.raises(UsageError, match="another simulator cannot be told yet"):
+    with pytest.raises(UsageError, match="another simulator does not know yet"):
         FramedSimulator(cast(FrameSource, None)).reset(episode)  # before its source is asked anything
     assert not any(has_exact_margin(CarUnderTest("basic"), scenario) for scenario in (RIGHT_TURN, WITH_BOX))
 

@@ -116,7 +116,7 @@ def test_as_many_as_are_asked_for():
     scenario = load_scenario("cpna")
     found = safe_trajectories(Plan(scenario, safe="regulatory", safe_count=3), InProcessRunner(1))
     assert [one.name for one in found] == ["regulatory/0", "regulatory/50", "regulatory/100"]
-    with pytest.raises(UsageError, match="7 usable safe trajectories where 8 were asked for"):
+    with pytest.raises(UsageError, match="7 usable safe trajectories where 8 were requested"):
         safe_trajectories(Plan(scenario, safe="regulatory", safe_count=8), InProcessRunner(1))
     with pytest.raises(UsageError, match="scenario crossing has no section protocol"):
         safe_trajectories(Plan(load_scenario("crossing"), safe="regulatory", safe_count=1), InProcessRunner(1))

@@ -48,7 +48,7 @@ def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -
         counts = Counter(reason for _, reason in dropped).most_common()
         reasons = ", ".join(f"{number} × {reason}" for reason, number in counts)
         others = f"; {len(dropped)} dropped ({reasons})" if dropped else ""
-        raise UsageError(f"{path}: {len(usable)} usable safe trajectories where {count} were asked for{others}")
+        raise UsageError(f"{path}: {len(usable)} usable safe trajectories where {count} were requested{others}")
     last = len(usable) - 1
     taken = [last // 2] if count == 1 else np.rint(np.linspace(0, last, count)).astype(int).tolist()
     by_reason: dict[str, list[str]] = {}

@@ -100,7 +100,7 @@ class AssessmentOptions:
         high=10_000_000,
         metavar="N",
         commands=("assess", "sweep"),
-        unset="2000 for the basic car, 500 for others, 100 through the graph, but at most four times --collision-runs",
+        unset="2000 for the basic car, 500 for others, 100 through the graph",
         seldom=True,
     )
     risk_subset: bool = option(
@@ -174,8 +174,8 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     reset: str = graph_option(
         JUMP,
-        "how the controller learns of a new episode: jump (of the pose), initialpose, lifecycle (of "
-        "lifecycle_nodes), restart (of its command), or several with commas in between",
+        "how the controller learns of a new episode: jump (of the pose), initialpose, lifecycle, restart (of its "
+        "command), or several, as jump,restart",
         choices=Lists(RESETS),
         metavar="HOW",
         launches=(),

@@ -163,7 +163,7 @@ def _add_sweep(commands: Any) -> None:
         "sweep",
         help="the paper's experiment: rate the basic car with nine multipliers C",
         description="Repeat the paper's experiment: margin, SKD and contact rate of the basic car with each multiplier "
-        "C. The safe trajectories are synthetic ones, and those of --safe beside them.",
+        "C. The safe trajectories are synthetic ones, and those of --safe, if given.",
     )
     text = "walkers, or recorded ones: CITR's vci_lat_uni, a csv file with columns t, x, y, or a folder"
     sweep.add_argument("--safe", metavar="SOURCE", help=text)

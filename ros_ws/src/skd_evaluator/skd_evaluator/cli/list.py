@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"skd list: warning: {one.folder}: {one.remark}", file=sys.stderr)
         if not found:
             where = ", ".join(map(str, arguments.paths))
-            raise UsageError(f"{where}: holds no assessment that is asked for ({counted(len(runs), 'result')} in all)")
+            raise UsageError(f"{where}: holds no such assessment ({counted(len(runs), 'result')} in all)")
         print_table(runs_table(found))
         for one in found:
             for line in (*([one.remark] if one.remark else []), *one.warnings):

@@ -402,7 +402,7 @@ class CommandOptions:
         "",
         "which number of a message type of your own is the command, such as longitudinal.acceleration or axes[1]",
         metavar="FIELD",
-        unset="none; a message type of your own needs one",
+        unset="none",
     )
     command_quantity: str = _command_option(
         "acceleration",

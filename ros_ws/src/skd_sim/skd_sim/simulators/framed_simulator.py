@@ -81,7 +81,7 @@ class FramedSimulator:
         scenario = episode.scenario
         if not scenario.road.straight:
             raise UsageError(
-                f"scenario {scenario.name} has a curved road, which another simulator cannot be told yet; take a "
+                f"scenario {scenario.name} has a curved road, which another simulator does not know yet; take a "
                 "straight road, or SKD's own world"
             )
         self._frames = _frames_per_period(scenario, self._source.frame_step)

@@ -114,8 +114,7 @@ def minimal_deviations(
     if again < hits:
         raise AssessmentError(
             f"controller {first.controller} answers differently to the same trajectories: of {hits} hits {again} came "
-            "again. What it draws at random has to come from the generator that reset gives it, and reset has to undo "
-            "all that an episode has left"
+            "again. It may draw only from the generator of reset, and reset has to undo what an episode has left"
         )
     return found.hits, found.search
 

@@ -48,7 +48,7 @@ def add_fuse(commands: Any) -> None:
         type=real_number(0.0, 20.0, above=True),
         default=0.5,
         metavar="M",
-        help="how far apart the car may start in a physical and a simulated trial of one timing (default: 0.5)",
+        help="greatest difference of the car's start in a physical and a simulated trial of one timing (default: 0.5)",
     )
     calibration = fuse.add_argument_group("calibration")
     text = "estimate delay and deceleration of the brake, friction and sensor range of the simulator instead"

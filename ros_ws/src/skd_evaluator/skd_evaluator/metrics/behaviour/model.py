@@ -99,8 +99,8 @@ class Parameter(Frozen):
         if self.interval_95 is not None and not self.interval_95[0] <= self.value <= self.interval_95[1]:
             low, high = self.interval_95
             raise UsageError(
-                f"interval_95 must hold the value {self.value:g}, got [{low:g}, {high:g}]: whoever changes the one "
-                "changes the other, or removes it"
+                f"interval_95 must hold the value {self.value:g}, got [{low:g}, {high:g}]: change both, or "
+                "remove the interval"
             )
 
 
