@@ -108,17 +108,18 @@ def test_a_car_whose_figures_are_not_credible_passes_no_test(tmp_path: Path, mon
         Assessor(tmp_path).assess(MyCar)
 
 
-def test_a_car_without_an_skd_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With it `skd assess` ends with exit code 1; asked for again, it does not pass either."""
+def test_a_car_without_margin_and_skd_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`skd assess` ends with exit code 1 as well; a margin alone is enough."""
     none = SimpleNamespace(distances=SimpleNamespace(mean=None), discarded=3)
-    rating = SimpleNamespace(
-        as_dict=lambda: {"margin": 5.0, "skd": None}, for_skd=SimpleNamespace(skd=none, reasons=())
-    )
+    figures = {"margin": None, "skd": None}
+    rating = SimpleNamespace(as_dict=lambda: figures, for_skd=SimpleNamespace(skd=none, reasons=()))
     monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
     skd = Assessor(tmp_path)
     for _ in range(2):
         with pytest.raises(AssessmentError, match=r"MyCar: all 3 are further than.*; SKD is not defined. See"):
             skd.assess(MyCar)
+    figures["margin"] = 5.0
+    assert Assessor(tmp_path).assess(MyCar).figures["margin"] == 5.0
 
 
 MORE_BY_CHANCE = (0.70, 0.40)  # 0.05 more than 0.5 on the mean of eight φ, with a standard error of 0.057

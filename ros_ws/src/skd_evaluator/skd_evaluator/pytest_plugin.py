@@ -174,8 +174,9 @@ class Assessor:
             folder = self._out / f"{len(self._kept)}"
             assessment = assess(controller, out=folder, **options)
             self._kept[key] = Assessed(assessment.as_dict(), folder)
-            lines = not_credible(self._kept[key].figures.get("warnings") or ())
-            self._failed[key] = "; ".join([*lines, *filter(None, [undefined(assessment)])])
+            figures = self._kept[key].figures
+            nothing = undefined(assessment) if figures["margin"] is None else None
+            self._failed[key] = "; ".join(filter(None, [*not_credible(figures.get("warnings") or ()), nothing]))
         if why := self._failed[key]:
             raise AssessmentError(f"{controller}: {why}. See {self._kept[key].folder}")
         return self._kept[key]
