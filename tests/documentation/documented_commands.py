@@ -17,7 +17,7 @@ from markdown_it import MarkdownIt
 ROOT = Path(__file__).resolve().parents[2]
 SHELLS = {"bash", "console", "sh", "shell"}
 FOREIGN = (
-    *("colcon", "cyclonedx-py", "docker", "git", "pip-audit", "python", "python3"),
+    *("colcon", "cyclonedx-py", "dask", "docker", "git", "pip-audit", "python", "python3"),
     *("ros2", "rosdep", "ssh-keygen", "sudo"),
 )
 """Programs that the documentation calls and that do not lie in the checkout."""

@@ -37,7 +37,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd fuse --calibrate": "a minute: tests/evaluator/test_fusion_trials.py has a smaller one",
     r"scripts/skd fit --people": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
     r"scripts/skd .*--simulator metadrive": "needs the extra metadrive: tests/sim/test_metadrive.py has smaller ones",
-    r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
+    r"(.* -m )?dask |.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
     r"scripts/skd scenarios check": "tests/evaluator/test_scenarios_command.py checks files of one's own",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
