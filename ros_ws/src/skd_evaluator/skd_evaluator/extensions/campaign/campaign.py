@@ -158,7 +158,8 @@ class Campaign:
         running = [pool.submit(self._try, cell, partial(self._assess, cell, runner, tell)) for cell in self.in_process]
         try:
             for future in concurrent.futures.as_completed(running):
-                future.result()
+                with suppress(StoppedError):  # of a cell beside the one that has failed
+                    future.result()
         except BaseException:  # no thread may use the store or the runner after an error or an interrupt
             self._stop.set()
             runner.close(wait=False)
@@ -184,6 +185,7 @@ class Campaign:
         try:
             work()
         except (StoreError, OutOfReachError):
+            self._stop.set()  # before this thread takes another cell
             raise
         except (AssessmentError, UsageError) as error:
             if self._stop.is_set():
