@@ -21,7 +21,7 @@ import pytest
 from common import PATIENCE, assert_same_episodes, new_domain, run_skd, wait_until
 from forked_skd import TOKEN, ForkedSkd
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.report.progress import PREPARING
+from skd_evaluator.report.progress import COMPILING
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graphs_session
 from skd_sim.options.car_under_test import CarUnderTest
@@ -74,8 +74,8 @@ def assert_all_gone(token: str, timeout: float = 10.0) -> None:
 
 
 _OF_A_BUSY_MACHINE = re.compile(
-    r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within |[^:]+: \d+ of \d+, |"  # the last after five seconds
-    + re.escape(PREPARING)
+    r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within |step \d+ of \d+: |[^:]+ \(\d+\)$|[^:]+, \d+ of \d+, |"
+    + re.escape(COMPILING)  # the last four after five seconds
     + ")"
 )
 
