@@ -34,11 +34,8 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     assert "nobody publishes on /ego/acceleration_command" in last
     assert last.rpartition("; log: ")[0].endswith("; aborted were 3 not started")
     logs = tmp_path / "out" / "logs"
-    for line in (first, last):
-        assert (
-            Path(line.rpartition("log: ")[2].partition("; ")[0]) == logs
-        )  # nobody else was started, and so nobody has printed
-    assert [path.name for path in tmp_path.iterdir() if path.name != "out"] == []
+    for line in (first, last):  # nobody else was started, and so nobody has printed
+        assert Path(line.rpartition("log: ")[2].partition("; ")[0]) == logs
 
 
 def test_all_aborted(tmp_path: Path, safe: Path) -> None:

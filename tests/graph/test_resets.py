@@ -213,4 +213,5 @@ def test_nothing_is_left_of_several_graphs(tmp_path: Path, safe: Path) -> None:
     for _ in range(2):  # who is impatient
         program.popen.send_signal(signal.SIGINT)
     finished = program.finish()  # which sees that nothing is left
-    assert (finished.code, finished.lines[-1]) == (130, "skd assess: interrupted; nothing was written")
+    assert finished.code == 130
+    assert finished.lines[-1].startswith("skd assess: interrupted; ")

@@ -248,7 +248,7 @@ def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, nu
         assert finished.code == -signal.SIGKILL
     else:
         assert finished.code == 130
-        assert finished.timeless[-1] == "skd assess: interrupted; nothing was written", finished.err
+        assert finished.timeless[-1].startswith("skd assess: interrupted; "), finished.err
         assert not [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(("out", ".skd"))]
     # What SIGKILL leaves is ended by others, the watching shell, and they need a moment.
     wait_until(lambda: all(map(is_dead, before)), "their end", PATIENCE if number == signal.SIGKILL else 2.0)
