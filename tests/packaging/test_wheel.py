@@ -104,7 +104,7 @@ def test_it_assesses_and_reports(environment, tmp_path):
     places = "; ".join(f"import {name}; print({name}.__file__)" for name in PYTHON_PACKAGES)
     for place in run(environment / "bin" / "python", "-c", places, folder=tmp_path).split():
         assert Path(place).is_relative_to(environment)
-    assert "Assessment: basic" in run(skd, "assess", *SMALL, "--out", "out", folder=tmp_path)
+    assert "basic, C = 1" in run(skd, "assess", *SMALL, "--out", "out", folder=tmp_path)
     figures = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
     assert figures["deviation"] is not None
     assert figures["provenance"]["git"] is None

@@ -27,12 +27,12 @@ if importlib.util.find_spec("vision_msgs"):
 FIGURES = {"/skd/clearance", "/skd/deviation"}
 FRAMES = {"/robot_description", "/tf", "/tf_static"}
 NODES = {
-    "vehicle_simulator": ("skd_sim", {"/clock", *STATES, *SENSORS, *FRAMES, "/skd/episode_result"},
+    "vehicle_simulator": ("skd_sim", {"/clock", *STATES, *SENSORS, *FRAMES, "/skd/episode_result", "/skd/command"},
                           {*COMMANDS, "/skd/episode"}),
     "car_controller": ("skd_sim", {COMMANDS[0]}, {*STATES, "/skd/episode"}),
     "adversary": ("skd_adversary", {COMMANDS[1], "/skd/believed_car"}, {STATES[0], "/skd/episode"}),
-    "evaluator": ("skd_evaluator", {"/skd/assessment", "/skd/episode", "/skd/markers", *FIGURES},
-                  {"/clock", *STATES, *COMMANDS, *FRAMES, "/skd/episode_result"}),
+    "evaluator": ("skd_evaluator", {"/skd/assessment", "/skd/episode", "/skd/markers", "/diagnostics", *FIGURES},
+                  {"/clock", *STATES, *COMMANDS, *FRAMES, "/skd/episode_result", "/skd/command"}),
 }  # fmt: skip
 """Package of each node, what it publishes, and what it listens to."""
 
