@@ -8,7 +8,6 @@ from collections.abc import Iterator
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-from skd_evaluator.cli.arguments import described
 from skd_evaluator.cli.commands import commands_of, make_parser
 
 _COMMANDS = "command_line.md"
@@ -23,8 +22,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def _command_line() -> Iterator[str]:
     yield "# Command line\n"
     yield "`scripts/skd` in a checkout, `skd` where the package is installed. Made from the parsers, this page says"
-    yield "what `--help` says. For what to use when, see [the commands](commands.md).\n"
-    for name, parser in commands_of(make_parser()).items():
+    yield "what `--help-all` says. For what to use when, see [the commands](commands.md).\n"
+    for name, parser in commands_of(make_parser(["--help-all"])).items():
         yield f"\n## skd {name}\n\n{_prose(parser.description or '')}\n"
         for group in parser._action_groups:
             actions = [action for action in group._group_actions if not isinstance(action, argparse._HelpAction)]
@@ -37,9 +36,6 @@ def _command_line() -> Iterator[str]:
             for action in actions:
                 text = _prose(formatter._expand_help(action) if action.help else "")
                 yield f"| {_invocation(action, formatter)} | {text} |"
-        if any(seldom := [one for one, _ in (parser.get_default("parameters") or {}).values() if one.seldom]):
-            yield "\n**By `-p NAME:=VALUE` or `--params-file`**\n\n| | |\n|---|---|"
-            yield from (f"| `{one.name}` | {_prose(described(one))} |" for one in seldom)
 
 
 def _invocation(action: argparse.Action, formatter: argparse.HelpFormatter) -> str:
