@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.from_options import plan_of
+from skd_evaluator.assessment.from_options import name_of_command, plan_of
 from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
 from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.assess import graph_options
@@ -169,3 +169,16 @@ def test_a_plan_of_parameters_and_one_of_the_command_line_are_the_same():
     limited = plan_of({**parameters, "maximum_distance": 2.0, "multiplier": 0.5}, CROSSING, seed=8)
     assert (limited.maximum_distance, limited.multiplier, limited.seed) == (2.0, 0.5, 8)
     assert dataclasses.replace(limited, seed=0).episode(Mode.KAMIKAZE, 0, 0, ACROSS).maximum_distance == 2.0
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("python3 path/to/vendor_controller.py --rate 20", "vendor_controller.py"),
+        ("ros2 launch my_stack bringup.launch.py use_sim_time:=true", "my_stack/bringup.launch.py"),
+        ("bash -c 'source install/setup.bash && ros2 run pkg node --ros-args -r a:=b'", "pkg/node"),
+        ("", ""),
+    ],
+)
+def test_a_stack_is_called_by_what_its_command_starts(command, name):
+    assert name_of_command(command) == name

@@ -134,7 +134,7 @@ _STARTERS = ("bash", "sh", "env", "exec", "python", "python3", "ros2", "run", "l
 def name_of_command(command: str) -> str:
     """Return the name of a stack by the command that starts it: package and program of ros2, else file or program."""
     try:
-        words = shlex.split(command)
+        words = [one for word in shlex.split(command) for one in word.split()]  # a shell's command is one word
     except ValueError:  # a quotation mark too many: it will not start either
         return ""
     for verb in ("run", "launch"):
