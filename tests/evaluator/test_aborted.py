@@ -61,6 +61,9 @@ def test_each_figure_is_held_against_the_limit_on_its_own() -> None:
     assert too_many_aborted(one, 0.0)
     kamikazes = rating(4, mode=Mode.KAMIKAZE, plan=replace(MANY, kamikaze_count=20, collision_runs=400))
     assert "4 of 44 kamikazes of objective paper were aborted" in (too_many_aborted(kamikazes, 0.05) or "")
+    crossings = [Touch.NONE] * 17 + [Touch.ABORTED] * 2
+    assert "2 of 19 crossings" in (too_many_aborted(with_risk(*crossings), 0.05) or "")
+    assert too_many_aborted(with_risk(*crossings[:-1]), 0.05) is None
 
 
 @pytest.mark.parametrize("mode", [Mode.REPLAY, Mode.KAMIKAZE])
@@ -181,6 +184,18 @@ def test_in_pytest_no_use_as_a_number_passes_by_aborted_episodes(passes: Any, nu
     rate = in_pytest(rating(2).as_dict()).contact_rate
     with pytest.raises(AssessmentError, match=r"not judged: contact_rate is 0\.0526316"):
         assert passes(rate, number)
+
+
+def test_in_pytest_an_upper_bound_of_the_margin_shows_no_least() -> None:
+    bound = {**rating(0).as_dict(), "margin": 1.2, "margin_ci95": [0.9, 1.3], "optimality_gap": 1.1}
+    bound |= {"margin_converged": False, "margin_budget": 64}
+    car = in_pytest(bound)
+    assert car.margin < 1.5
+    assert not car.margin > 1.5
+    for passes in (lambda: car.margin > 0.8, lambda: car.margin_ci95[0] > 0.8, lambda: car.optimality_gap < 1.5):
+        with pytest.raises(AssessmentError, match="had not converged at 64 candidates a trial, so this is a"):
+            passes()
+    assert in_pytest({**bound, "margin_converged": True}).margin > 0.8
 
 
 class Aborting:

@@ -143,7 +143,7 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
         print(f"Stopped {result['until_width']['text']}")
 
 
-class _Kept:
+class _KeptEpisodes:
     """Episodes that are kept as soon as they have run, in a hidden file beside the results, until these are written."""
 
     def __init__(self, arguments: argparse.Namespace, assessment: Assessment, out: Path) -> None:
@@ -175,9 +175,6 @@ class _Kept:
     def interrupted(self) -> int:
         """Say in one line how to go on, and return the exit code."""
         self.count = self._store.count()
-        self._store.close()
-        if not self.count:
-            remove_files(self._path)
         words = [word for word in self._arguments.command_line if word not in ("--overwrite", "--resume")]
         words += [] if self._arguments.out else ["--out", str(self._out)]
         go_on = shlex.join([program(), *words[1:], "--resume"])
@@ -191,11 +188,14 @@ class _Kept:
 
     def failed(self, error: AssessmentError) -> AssessmentError:
         """Return the error with how to go on."""
+        if not self._store.count():
+            return error
         kept = counted(self._store.count(), "episode")
         return type(error)(f"{error}; {kept} kept: --out {self._out} --resume goes on")
 
     def close(self, *, done: bool) -> None:
-        """Let go of the file; remove it when the results are written."""
+        """Let go of the file; remove it when the results are written, or nothing is in it."""
+        done = done or not self._store.count()
         self._store.close()
         if done:
             remove_files(self._path)
@@ -236,7 +236,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     command = arguments.controller_command or ""
     origin = provenance(arguments.command_line, plan.car, controller_command=command)
     assessment = Assessment(plan, provenance=origin)
-    kept = _Kept(arguments, assessment, out.path)
+    kept = _KeptEpisodes(arguments, assessment, out.path)
     done = True
     try:
         assessment, problem = _assess(arguments, assessment, request, out, begin, kept)
@@ -258,7 +258,7 @@ def _assess(
     request: dict[str, Any],
     out: ResultFolder,
     begin: float,
-    kept: _Kept,
+    kept: _KeptEpisodes,
 ) -> tuple[Assessment, str | None]:
     """Return the assessment, and why it could not be written, if so."""
     if arguments.graph:
@@ -312,7 +312,7 @@ def _assess_graph(
     request: dict[str, Any],
     out: ResultFolder,
     begin: float,
-    kept: _Kept,
+    kept: _KeptEpisodes,
 ) -> tuple[Assessment, str | None]:
     compile_for_graph(assessment.plan, request["objectives"])
     with out.scratch() as scratch:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import IO, Any
 
 
-class _Kept:
+class _Standard:
     """The program's standard output, where only JSON may go to it.
 
     Attributes:
@@ -29,7 +29,7 @@ def keep_for_json() -> None:
     if behind is not sys.__stdout__ or not isinstance(behind, io.TextIOWrapper) or behind.fileno() != 1:
         return  # somebody has led it elsewhere already, as tests do
     behind.flush()
-    _Kept.output = os.fdopen(os.dup(1), "w", encoding=behind.encoding, errors="replace")
+    _Standard.output = os.fdopen(os.dup(1), "w", encoding=behind.encoding, errors="replace")
     os.dup2(2, 1)
 
 
@@ -38,9 +38,9 @@ def print_json(content: Mapping[str, Any]) -> None:
     import json  # only now: every command begins with this module
 
     text = json.dumps(content, indent=2, ensure_ascii=False)
-    print(text, file=_Kept.output)
-    if _Kept.output is not None:
-        _Kept.output.flush()
+    print(text, file=_Standard.output)
+    if _Standard.output is not None:
+        _Standard.output.flush()
 
 
 def is_read(printing: Callable[[], None]) -> bool:
@@ -62,5 +62,5 @@ def give_up() -> None:
     """Drop output whose reader has gone away: Python would complain when it flushes at the end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
-    if _Kept.output is not None:
-        os.dup2(nowhere, _Kept.output.fileno())
+    if _Standard.output is not None:
+        os.dup2(nowhere, _Standard.output.fileno())

@@ -19,7 +19,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.margin.search.candidates import ActionSpace, Candidate, changed, excursion
-from skd_evaluator.margin.search.planner import Planner
+from skd_evaluator.margin.search.planner import DetourPlanner
 from skd_evaluator.margin.search.surrogate import Surrogate
 from skd_evaluator.margin.search.trial import Trial
 
@@ -91,7 +91,7 @@ class Group:
         self._cost = dict.fromkeys(SOURCES, _PRIOR)
         self._effort = dict.fromkeys(SOURCES, 1.0)
         self.surrogate = Surrogate(first.scenario.control_periods > 1)
-        self._planners = [Planner(trial.episode, space, self.surrogate) for trial in self.trials] if plans else []
+        self._planners = [DetourPlanner(trial.episode, space, self.surrogate) for trial in self.trials] if plans else []
         self._known: set[bytes] = set()
         self._planned_before: set[tuple[int, bytes]] = set()
         self._others: list[IntArray] = []  # best hits of trials that are searched elsewhere

@@ -56,7 +56,7 @@ class PlanProblem(NamedTuple):
     within_ticks: bool
 
 
-class Planner:
+class DetourPlanner:
     """Plans for one trial."""
 
     def __init__(self, episode: EpisodeSpec, space: ActionSpace, surrogate: Surrogate) -> None:
