@@ -25,7 +25,7 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     assert done.returncode == 0, done.stderr
     result = content(here / "out dir")
     assert_valid(result)
-    assert done.stdout.splitlines()[-1] == f"{result['seconds']:.1f} s; results in out dir"
+    assert done.stdout.splitlines()[-1].startswith(f"{result['seconds']:.1f} s; results in out dir; --details")
     said = result["provenance"]
     assert begin <= datetime.fromisoformat(said["date"]) <= datetime.now(UTC)
     assert said["command"].startswith("skd assess --safe-count 1 ")

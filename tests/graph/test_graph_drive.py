@@ -22,8 +22,9 @@ def test_a_node_is_driven_by_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     token = uuid.uuid4().hex
     variables = {TOKEN: token, "ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     terminal = Terminal(skd_command("drive", *NODE, VENDOR), **variables)
-    terminal.wait_for(r"command [+-]\d")  # it hears the node
+    terminal.wait_for("press a key to begin")
     terminal.press("s")
+    terminal.wait_for(r"command [+-]\d")  # it hears the node
     terminal.wait_for(r"time [1-9]")
     assert "age of the command 0." in terminal.text
     terminal.press("r")

@@ -267,7 +267,7 @@ def with_waiting_reward(
         trials = own_trials(
             plan, model, safe, WAITING_TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEVIATION,)
         )
-        logs = finished(runner, trials, "learning the car: waiting", progress)
+        logs = finished(runner, trials, "learning the car: waiting trials", progress)
         mean = float(np.mean([_strayed(log) for log in logs]))
         if mean < least:
             best, least = choice, mean
