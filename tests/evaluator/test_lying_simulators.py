@@ -176,7 +176,10 @@ def test_an_episode_that_cannot_be_is_aborted(simulator: str, kind: AbortKind, w
 @pytest.mark.parametrize(
     ("simulator", "line"),
     [
-        ("raises", "simulator raises: step failed with ValueError: boom (tests/evaluator/test_lying_simulators.py, line "),
+        (
+            "raises",
+            "simulator raises: step failed with ValueError: boom (tests/evaluator/test_lying_simulators.py, line ",
+        ),
         ("skips", "simulator skips: step must return the frame of tick 1, got that of tick 2"),
         ("noframe", "simulator noframe: step must return a Frame, got 'soon'"),
     ],
