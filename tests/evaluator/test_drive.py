@@ -133,7 +133,7 @@ def test_the_clearance_is_the_distance_to_the_rectangle(x, y):
 def test_a_screen_fits_the_terminal_and_says_in_full_what_is_awaited():
     console = Console(width=80, height=24, file=io.StringIO())
     screen = Screen("mine", KEYS, console)
-    screen.waiting = "waiting for /ego/acceleration_command: nobody publishes on it, but messages arrive on /elsewhere"
+    screen.waiting = "waiting for /ego/acceleration_command: no node publishes on it, but messages arrive on /elsewhere"
     awaited = Onlooker(of_keys()).see(
         0, 0, CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0), math.nan, math.nan
     )

@@ -31,7 +31,7 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     first, last = finished.timeless[1:]
     assert first.startswith("skd: an episode was aborted, the first one so: not started: the car controller")
     assert "3 starts in a row failed, the last one so: not started: the car controller" in last
-    assert "nobody publishes on /ego/acceleration_command" in last
+    assert "no node publishes on /ego/acceleration_command" in last
     assert last.rpartition("; log: ")[0].endswith("; aborted were 3 not started")
     logs = tmp_path / "out" / "logs"
     for line in (first, last):  # nobody else was started, and so nobody has printed

@@ -178,7 +178,7 @@ def test_nobody_walks(
     assert log.outcome == Outcome.ABORTED
     assert log.reason == (
         "not started: the adversary (adversary/velocity_command) stayed silent for 2 s at tick 0: "
-        "nobody publishes on /adversary/velocity_command"
+        "no node publishes on /adversary/velocity_command"
     )
     assert len(log.adversary) == 1
     assert math.isnan(log.impact_time)

@@ -140,7 +140,7 @@ def test_a_node_that_is_not_there(brake: Any) -> None:
     brake()
     with managed(1.0, "/latching_break") as nodes:
         assert nodes.before_episode() == (
-            "not started: /latching_break, a managed node of the car controller, is not there: nobody offers "
+            "not started: /latching_break, a managed node of the car controller, is not there: no node offers "
             "/latching_break/get_state (waited 1 s)"
         )
 

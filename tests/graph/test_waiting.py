@@ -107,13 +107,13 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {
     ),
     "wrong topic": (
         (HEARS, publishes(Twist, "/cmd_vel")),
-        "messages of /stack arrive on /cmd_vel (geometry_msgs/msg/Twist), and nobody listens there: "
+        "messages of /stack arrive on /cmd_vel (geometry_msgs/msg/Twist), and no node listens there: "
         "-p command_topic:=/cmd_vel -p command_type:=twist",
         {"newest": None, "on": "/cmd_vel"},
     ),
     "hears nothing": (
         (COMMANDS_IT, listens(Odometry, "/odom")),
-        "/stack listens to /odom, where nobody publishes: remap it (-r odom:=/ego/odometry)",
+        "/stack listens to /odom, where no node publishes: remap it (-r odom:=/ego/odometry)",
         {},
     ),
     "perhaps wrong topic": ((HEARS, publishes(Twist, "/cmd_vel")), "-p command_topic:=/cmd_vel", {}),
@@ -219,4 +219,4 @@ def test_a_simulator_that_is_not_there_is_named(graph: Graph, monkeypatch: pytes
     graph.watcher.destroy_node()
     wait_until(lambda: not graph.stack.count_publishers("/ego/odometry"))
     commands.look(state_came=False)
-    assert "nobody publishes on /ego/odometry: vehicle_simulator is to publish it" in lines[0]
+    assert "no node publishes on /ego/odometry: vehicle_simulator is to publish it" in lines[0]

@@ -61,7 +61,7 @@ class GraphAdversary:
         self._next_tick, self._answer = 0, None
 
     def answer(self, tick: int, stamp: int, car: CarState) -> tuple[float, float] | None:
-        """Decide on a tick by the car's state, once; publish the velocity where somebody listens, and return it.
+        """Decide on a tick by the car's state, once; publish the velocity where a node listens, and return it.
 
         A tick that comes out of turn has no answer: this node joined in the middle, or could not keep up.
         """
@@ -83,7 +83,7 @@ class GraphAdversary:
         return velocity
 
     def _publish_belief(self, stamp: int) -> None:
-        """Publish where the adversary believes the car to be, if somebody listens and it believes anything."""
+        """Publish where the adversary believes the car to be, if a node listens and it believes anything."""
         if isinstance(self._adversary, PlanningAdversary) and self._believed.get_subscription_count():
             self._believed.publish(belief_to_odometry(self._adversary.believed_car, self._episode, stamp))
 

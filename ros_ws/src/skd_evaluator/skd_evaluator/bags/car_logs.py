@@ -47,7 +47,7 @@ def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list
 
     Args:
         paths: files and folders in which to look.
-        damage: told what is left out and what is to be said; by default whatever is damaged is refused.
+        damage: takes note of what is left out and what is to be said; by default whatever is damaged is refused.
 
     Raises:
         UsageError: a path cannot be read, or holds neither; the logs are of several controllers; or something is

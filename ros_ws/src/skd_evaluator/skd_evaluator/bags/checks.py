@@ -89,7 +89,7 @@ def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
 
     Args:
         found: logs of any number of campaigns, each episode once.
-        damage: told what is left out, and what is to be said.
+        damage: takes note of what is left out, and what is to be said.
 
     Raises:
         UsageError: something would have to be left out, and `damage` does not allow it.

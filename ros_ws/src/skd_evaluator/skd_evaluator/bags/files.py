@@ -44,7 +44,7 @@ def find_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list
 
     Args:
         paths: bag folders, files, or folders of them.
-        damage: told what is not read; by default what looks like a recording and cannot be read is refused.
+        damage: takes note of what is not read; by default what looks like a recording and cannot be read is refused.
 
     Raises:
         UsageError: a path does not exist, or holds no recording; or something must not be left out.
@@ -79,7 +79,7 @@ def joined(files: Sequence[Path], damage: Damage) -> list[list[Path]]:
 
     Args:
         files: files of recordings, none twice.
-        damage: told of files that look as if they belonged together, and do not follow each other.
+        damage: takes note of files that look as if they belonged together, and do not follow each other.
     """
     groups: dict[tuple[Path, str], list[Path]] = {}
     for file in files:

@@ -218,7 +218,7 @@ def read_messages(path: Path, wanted: Callable[[str], bool], condition: Conditio
     Args:
         path: path of the file.
         wanted: says of a topic whether its messages are wanted.
-        condition: told what is found.
+        condition: takes note of what is found.
 
     Raises:
         UsageError: it cannot be opened, is no regular file, or of none of the storages.

@@ -139,7 +139,7 @@ class GraphRecording:
 
         Args:
             where: name of the recording, for error lines.
-            damage: told of episodes that are not yielded.
+            damage: takes note of episodes that are not yielded.
         """
         for key, result in self.results.items():
             name = f"{where}: episode {key.episode_id}"
@@ -228,7 +228,7 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> BagContent
 
     Args:
         paths: bag folders, files of recordings, or folders of them.
-        damage: told what is left out and what is to be said; by default whatever is damaged is refused.
+        damage: takes note of what is left out and what is to be said; by default whatever is damaged is refused.
 
     Raises:
         UsageError: a file cannot be read, or something is damaged and must not be left out.

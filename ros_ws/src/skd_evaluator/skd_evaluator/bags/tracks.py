@@ -294,7 +294,7 @@ def bag_tracks(
         map_frame: frame of the positions; None: that in which they are recorded, of /tf the highest.
         longest_gap: time between two transforms, s, beyond which places are not known.
         tf: topic of the transforms by which others come into `map_frame`.
-        damage: told what is left out; by default that is refused.
+        damage: takes note of what is left out; by default that is refused.
 
     Raises:
         UsageError: it cannot be read, lacks one of them, does not say how frames lie or when it was, or its clock goes
@@ -338,7 +338,7 @@ def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] =
 
     Args:
         files: the files of one recording.
-        damage: told what is left out.
+        damage: takes note of what is left out.
         topics: only these; empty: all.
     """
     bag = _read(files, lambda topic: not topics or topic in topics, LONGEST_GAP, damage, readable=True)

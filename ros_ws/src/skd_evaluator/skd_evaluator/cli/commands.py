@@ -188,7 +188,7 @@ def _add_episode(commands: Any) -> None:
         description="Run one episode through the node graph and record it as a bag.",
     )
     add_car_arguments(episode, "episode")
-    text = "what the adversary does: cross safely, be hit, follow φ, or walk φ as people do (default: kamikaze)"
+    text = "the adversary crosses safely, is hit, follows φ, or walks φ with natural variation (default: kamikaze)"
     episode.add_argument("--mode", choices=("safe", "kamikaze", "replay", "risk"), default="kamikaze", help=text)
     add_options(episode, "episode", table=AssessmentOptions, hidden=("behaviour",))
     text = rare("with --mode risk, by what the deviations of people are multiplied (default: 1)")

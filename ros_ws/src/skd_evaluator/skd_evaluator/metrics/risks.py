@@ -1,4 +1,4 @@
-"""The risk of a car: how likely its front hits somebody who walks φ as people do, their deviations scaled by s.
+"""The risk of a car: the probability that its front hits a road user who walks φ with natural variation, scaled by s.
 
 A hit is a contact with the front of the car, its corners included, at `collision.hit_speed` or more of its own speed;
 contacts with its flank or rear, and with a car that stands, are counted apart. φ are fixed: each is as likely as any

@@ -99,7 +99,7 @@ PAGE = Style(NOTHING, "{} to {}", "−")
 TERMINAL = Style("—", "[{}, {}]")
 BARE = Style("—", "[{}, {}]", percent="")
 """Where the unit stands above."""
-number, interval, percent, percent_interval = PAGE.number, PAGE.interval, PAGE.share, PAGE.share_interval
+number, interval, percent = PAGE.number, PAGE.interval, PAGE.share
 
 
 def ninety(figure: Figure, result: Mapping[str, Any]) -> str:

@@ -184,7 +184,7 @@ class Composed:
 _PLAIN = CommandOptions()
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
-_DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
+_DISCOVERY = 1.0  # s: how long an episode waits for topics that no node publishes yet; nodes may come later
 _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
 _LOST = 10.0  # s: how long after an episode its last states may come, from the last message of all on
 _LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet

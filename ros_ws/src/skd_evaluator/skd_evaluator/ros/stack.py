@@ -147,7 +147,7 @@ class LifecycleNodes:
     def _answer(self, name: str, client: Any, request: Any, latest: float) -> Any:
         """Return a service's answer, or None where it seems to be lost."""
         while not client.service_is_ready():
-            self._look_after(latest, AbortKind.NOT_STARTED, name, f"is not there: nobody offers {client.srv_name}")
+            self._look_after(latest, AbortKind.NOT_STARTED, name, f"is not there: no node offers {client.srv_name}")
             self._executor.spin_once(timeout_sec=_WAKE)
         future, lost = client.call_async(request), time.monotonic() + _LOST_AFTER
         while not future.done() and time.monotonic() < lost:
@@ -249,7 +249,7 @@ class FirstCommands:
         if not state_came:
             topic = self._node.resolve_topic_name(EGO_ODOMETRY)
             publishers = living_publishers(self._node, topic)
-            why = f"{publishers[0].name} is there and says nothing" if publishers else f"nobody publishes on {topic}"
+            why = f"{publishers[0].name} is there and says nothing" if publishers else f"no node publishes on {topic}"
             self.reasons, causes = [f"{topic}: {why}: vehicle_simulator is to publish it"], [(topic, "")]
         certain_one = any(one.certain for _, one in diagnoses)
         if waited >= (_SAY_AFTER if certain_one else _HINT_AFTER) and (
@@ -287,7 +287,7 @@ class FirstCommands:
 
 
 class Health:
-    """Publishes /diagnostics: the car controller and the episode, once a second where somebody listens."""
+    """Publishes /diagnostics: the car controller and the episode, once a second where a node listens."""
 
     def __init__(self, node: Node) -> None:
         """Make the topic; `node` publishes on it."""

@@ -1,7 +1,7 @@
 """What RViz and Foxglove show: lanes, car, adversary, φ and the path walked as markers, and two figures as numbers.
 
 The figures are how far car and adversary are from each other, and the adversary from φ. They are published where
-somebody listens; a recording has both.
+a node listens; a recording has both.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class CarController(GraphNode):
         self._answered.clear()
 
     def _listen_to_scans(self, *, wanted: bool) -> None:
-        """Subscribe only for a controller that senses: a scan is not made unless somebody listens."""
+        """Subscribe only for a controller that senses: a scan is not made unless a node listens."""
         if wanted and self._scans is None:
             self._scans = self.create_subscription(LaserScan, EGO_SCAN, self._on_scan, STREAM)
         elif not wanted and self._scans is not None:

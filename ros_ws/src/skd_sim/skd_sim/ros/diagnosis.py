@@ -82,7 +82,7 @@ class Evidence:
         stamp: stamp of the state that is to be answered, ns; none: not known.
         by_stamp: whether a command has to carry that stamp, as in lockstep without a quiet time.
         senses: whether the car of the episode has a laser.
-        heard: what has come, by topic, where somebody has listened.
+        heard: what has come, by topic, where there is a subscription.
     """
 
     node: Node
@@ -120,7 +120,7 @@ class Evidence:
 
     @cached_property
     def candidates(self) -> list[tuple[str, Publisher]]:
-        """Other topics on which somebody publishes what may be commands and nobody listens, the likeliest first."""
+        """Other topics with publishers of what may be commands and no subscriber, the likeliest first."""
         found = []
         for name, kinds in self.node.get_topic_names_and_types():
             if name == self.awaited.topic or name in _OF_EVERY_NODE or not any(_rank(name, kind) for kind in kinds):
@@ -182,7 +182,7 @@ def diagnose(evidence: Evidence) -> Diagnosis:
 
 def _no_adversary(seen: Evidence) -> str | None:
     topic = seen.awaited.topic
-    return None if seen.publishers or topic != seen.full(VELOCITY_COMMAND) else f"nobody publishes on {topic}"
+    return None if seen.publishers or topic != seen.full(VELOCITY_COMMAND) else f"no node publishes on {topic}"
 
 
 def _type(seen: Evidence) -> str | None:
@@ -296,8 +296,8 @@ def _elsewhere(seen: Evidence) -> str | None:
     option = "" if publisher.kind == seen.awaited.kind else f" {_option(publisher.kind)}"
     more = f" (or on {', '.join(other for other, _ in seen.candidates[1:])})" if len(seen.candidates) > 1 else ""
     return (
-        f"nobody publishes on {seen.awaited.topic}, but {come.format(publisher.name, name)} ({publisher.kind}){more}, "
-        f"and nobody listens there: -p command_topic:={name}{option}, or remap it"
+        f"no node publishes on {seen.awaited.topic}, but {come.format(publisher.name, name)} ({publisher.kind}){more}, "
+        f"and no node listens there: -p command_topic:={name}{option}, or remap it"
     )
 
 
@@ -306,7 +306,7 @@ def _arrives_elsewhere(seen: Evidence) -> str | None:
 
 
 def _hears_nothing(seen: Evidence) -> str | None:
-    """Of a stack that listens to topics where nobody publishes, and to none by which it could see anything."""
+    """Of a stack that listens to topics where no node publishes, and to none by which it could see anything."""
     states = {seen.full(topic) for topic in _STATES}
     if any(states & topics.keys() for topics in seen.listening.values()):
         return None
@@ -322,7 +322,7 @@ def _unpublished(seen: Evidence) -> str | None:
     ]
     if not lacking:
         return None
-    return f"{' and '.join(lacking[:_MOST])}, where nobody publishes: remap it (-r odom:=/{EGO_ODOMETRY})"
+    return f"{' and '.join(lacking[:_MOST])}, where no node publishes: remap it (-r odom:=/{EGO_ODOMETRY})"
 
 
 def _follows_clock(seen: Evidence) -> str | None:
@@ -345,12 +345,12 @@ def _does_not_publish(seen: Evidence) -> str | None:
     if not seen.listening:
         return None
     names = ", ".join(sorted(seen.listening)[:_MOST])
-    return f"nobody publishes on {seen.awaited.topic}; nodes that are not SKD's: {names}"
+    return f"no node publishes on {seen.awaited.topic}; nodes that are not SKD's: {names}"
 
 
 def _nobody(seen: Evidence) -> str:
     return (
-        f"nobody publishes on {seen.awaited.topic}, and there is no node but SKD's own: start it, in the same "
+        f"no node publishes on {seen.awaited.topic}, and there is no node but SKD's own: start it, in the same "
         "ROS_DOMAIN_ID"
     )
 

@@ -1,6 +1,6 @@
 """What a stack hears: clock, transforms, odometries, measurements of the car's sensors, start pose and shape.
 
-Each goes out only while somebody listens. Adversary and others are tracked objects of vision_msgs, where that package
+Each goes out only while a node listens. Adversary and others are tracked objects of vision_msgs, where that package
 is installed. The car's shape is a URDF: its body is the footprint of the scenario's car, as high as it is drawn. There
 are no movable joints, since nothing is known of the wheels; so no `/joint_states` are needed either.
 """

@@ -124,7 +124,7 @@ _SENT: Final = [field.name for field in fields(EpisodeLog) if field.name != "epi
 
 
 def _sent(log: EpisodeLog) -> tuple[Any, ...]:
-    """Return what a log is but for its episode, which whoever asked for it has: φ and scenario stay where they are."""
+    """Return the fields of a log without its episode: the caller has it, so φ and scenario are not sent back."""
     return tuple(getattr(log, name) for name in _SENT)
 
 
@@ -135,7 +135,7 @@ def _run_and_send(episode: EpisodeSpec) -> tuple[Any, ...]:
 
 
 def _run_all_and_send(episodes: Sequence[EpisodeSpec]) -> Iterator[tuple[Any, ...]]:
-    """Run episodes, where code of others is in them in a child: one in which that is lost is aborted."""
+    """Run episodes; those with user code run in a child process, and one whose child is lost is aborted."""
     for whose, some in itertools.groupby(episodes, _code_of_others):
         yield from isolated_each(whose, _run_here, list(some), _lost_episode)
 

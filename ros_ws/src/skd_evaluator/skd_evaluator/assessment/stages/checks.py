@@ -156,7 +156,7 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
 
 
 def shared_generators(episode: EpisodeSpec) -> tuple[str, ...]:
-    """Return from which generators that a whole process shares code of others draws, or seeds, in an episode."""
+    """Return the process-wide random generators that the user's code draws from or seeds in an episode."""
     try:
         return isolated(episode.car.user_code, _shared_generators, episode)
     except (AssessmentError, LostProcessError):

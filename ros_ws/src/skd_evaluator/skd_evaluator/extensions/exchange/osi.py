@@ -78,7 +78,7 @@ def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
 
     Args:
         path: an MCAP file, or a trace; one of sensor views has the ground truth in them.
-        damage: told what of the file is damaged; by default that is refused.
+        damage: takes note of what of the file is damaged; by default that is refused.
 
     Raises:
         UsageError: the library is not installed, a message is none of ground truth, or several topics have some, whose

@@ -100,7 +100,7 @@ def files_in(paths: Sequence[Path], damage: Damage) -> tuple[list[list[Path]], l
 
     Args:
         paths: files, bags' folders, or folders of them.
-        damage: told what is missing.
+        damage: takes note of what is missing.
 
     Raises:
         UsageError: a path is not there, or a folder has no such file.
@@ -154,7 +154,7 @@ def listing(files: Sequence[Path], damage: Damage, topics: Collection[str] = ())
 
     Args:
         files: as `files_in` returns them.
-        damage: told what is left out.
+        damage: takes note of what is left out.
         topics: only these of a recording; empty: all.
     """
     if is_recording(files[0]) and not _is_osi(files[0]):
@@ -169,7 +169,7 @@ def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage |
     Args:
         files: as `files_in` returns them.
         request: whose tracks.
-        damage: told what is left out; by default that is refused.
+        damage: takes note of what is left out; by default that is refused.
 
     Raises:
         UsageError: it cannot be read, is of no known format, or lacks a requested track.

@@ -57,7 +57,7 @@ def read_tracks(path: Path, car: str | None, other: str | None, damage: Damage |
         path: a recording, a bag's folder, or a csv file with the columns t, id, x, y, and perhaps heading and speed.
         car: topic or id of the car; None: what SKD itself calls it.
         other: topic or id of the other.
-        damage: told what is left out; by default that is refused.
+        damage: takes note of what is left out; by default that is refused.
 
     Raises:
         UsageError: it cannot be read, is implausible, lacks one of the two, or they are in two frames.
@@ -184,7 +184,7 @@ class TrialRecorder:
         reference: how far ahead of the scenario's reference point of the car the tracked point is, m.
         tolerance: m that the road user may be off φ.
         gap_tolerance: m that the timing of a table may be off that of the recording.
-        damage: told what of recordings is left out.
+        damage: takes note of what of recordings is left out.
     """
 
     scenario: Scenario

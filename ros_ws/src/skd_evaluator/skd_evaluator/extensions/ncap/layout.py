@@ -74,7 +74,7 @@ def cell_name(cell: NcapCell) -> str:
 
 
 def details(cell: NcapCell) -> str:
-    """Return all that is known of a cell, for whoever points at it."""
+    """Return the tooltip of a cell."""
     said = [cell_name(cell)]
     if cell.range:
         said.append(f"{cell.range} range")

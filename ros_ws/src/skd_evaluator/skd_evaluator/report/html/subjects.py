@@ -13,7 +13,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json, real_path
-from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
@@ -62,11 +62,6 @@ class Subject:
     def warnings(self) -> list[str]:
         """Remarks on its figures, and why they are not credible, a line each."""
         return [*self.remarks, *not_credible(self.figures["warnings"] or ())]
-
-    @property
-    def skd_objective(self) -> str:
-        """The objective whose kamikazes give SKD."""
-        return first_of(SKD_OBJECTIVES, self.figures["objectives"])
 
     @cached_property
     def curve(self) -> Mapping[str, Any] | None:

@@ -63,7 +63,7 @@ def read_tracks(paths: Sequence[Path], damage: Damage, kind: str = "pedestrian")
 
     Args:
         paths: where they are.
-        damage: told of episodes that are damaged.
+        damage: takes note of episodes that are damaged.
         kind: of road user; says how fast one can be.
 
     Raises:
