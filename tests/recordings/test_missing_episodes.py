@@ -11,7 +11,7 @@ _numbered = st.sets(st.tuples(st.integers(0, 3), st.integers(0, 4)), max_size=8)
 
 
 def _told(announced: list[int]) -> list[str]:
-    return missing_episodes(announced, {}, wanted=1, left_out=False)
+    return missing_episodes(announced, {}, requested=1, left_out=False)
 
 
 @given(_numbered)

@@ -139,7 +139,7 @@ def missing_episodes(
     announced: Iterable[int],
     reached: Mapping[int, int],
     *,
-    wanted: int,
+    requested: int,
     left_out: bool,
     which: str = "",
 ) -> list[str]:
@@ -152,7 +152,7 @@ def missing_episodes(
     Args:
         announced: ids of the episodes that the recordings mention, however they ended; kamikazes of one objective only.
         reached: how many kamikazes reached what they planned for, by number of φ.
-        wanted: how many were wanted on each φ; it is the same for every objective.
+        requested: how many were requested on each φ; it is the same for every objective.
         left_out: whether episodes are left out, so that sets are not what they were.
         which: which kamikazes these are, for the lines.
     """
@@ -174,10 +174,10 @@ def missing_episodes(
                 lines.append(f"no recording has {names[stage]} {gaps} of safe trajectory {index}")
     for index, count in sorted(reached.items()):
         tried = len(trials[Stage.KAMIKAZE].get(index, ()))
-        if not left_out and count < wanted and tried < TRIALS_PER_REQUESTED * wanted:
+        if not left_out and count < requested and tried < TRIALS_PER_REQUESTED * requested:
             lines.append(
                 f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
-                f"collided in {tried}, of another {wanted}"
+                f"collided in {tried}, of another {requested}"
             )
     runs = [len(trials[Stage.NOMINAL].get(index, ())) for index in sorted(known)]
     if runs and not absent and (max(runs) - min(runs) > 1 or runs != sorted(runs, reverse=True)):  # dealt out in turns

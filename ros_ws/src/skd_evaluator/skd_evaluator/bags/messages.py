@@ -209,26 +209,26 @@ class Condition:
     counts: Counter[str] = field(default_factory=Counter)
 
 
-def read_messages(path: Path, wanted: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
-    """Yield the messages of a file on wanted topics, in the order of the file.
+def read_messages(path: Path, requested: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
+    """Yield the messages of a file on requested topics, in the order of the file.
 
     Damaged parts are left out and named in `condition`, which is complete when the iteration has ended. Do not rely on
     messages before that, because the checksum of the whole comes last.
 
     Args:
         path: path of the file.
-        wanted: says of a topic whether its messages are wanted.
+        requested: says of a topic whether its messages are requested.
         condition: takes note of what is found.
 
     Raises:
         UsageError: it cannot be opened, is no regular file, or of none of the storages.
     """
-    wanted = functools.cache(wanted)
+    requested = functools.cache(requested)
     with _unpacked(path) as (file, magic):
         if magic.startswith(_SQLITE_MAGIC) or magic.startswith(_ROS1_MAGIC):
-            found = _rosbags(file, wanted, condition, is_ros1=magic.startswith(_ROS1_MAGIC))
+            found = _rosbags(file, requested, condition, is_ros1=magic.startswith(_ROS1_MAGIC))
         elif magic.startswith(_MCAP_MAGIC) or path.name.lower().endswith((".mcap", ".mcap.zstd", ".mcap.zst")):
-            found = _mcap(file, wanted, condition)
+            found = _mcap(file, requested, condition)
         else:
             raise UsageError(f"{path}: is no recording: neither MCAP, SQLite of rosbag2, nor a bag of ROS 1")
         for one in found:
@@ -278,7 +278,9 @@ def _plain(data: bytes, condition: Condition) -> bytes:
         return b""
 
 
-def _rosbags(path: Path, wanted: Callable[[str], bool], condition: Condition, *, is_ros1: bool) -> Iterator[Received]:
+def _rosbags(
+    path: Path, requested: Callable[[str], bool], condition: Condition, *, is_ros1: bool
+) -> Iterator[Received]:
     """Yield the messages of the storages that rosbags reads; they have no checksums."""
     from rosbags.rosbag1 import Reader
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -292,7 +294,7 @@ def _rosbags(path: Path, wanted: Callable[[str], bool], condition: Condition, *,
             condition.topics[one.topic] = one.msgtype
             condition.counts[one.topic] += one.msgcount
             condition.messages += one.msgcount
-            if wanted(one.topic):
+            if requested(one.topic):
                 chosen.append(one)
         for connection, logged, data in reader.messages(chosen) if chosen else ():
             encoding = _ROS1 if is_ros1 else connection.ext.serialization_format
@@ -303,7 +305,7 @@ def _rosbags(path: Path, wanted: Callable[[str], bool], condition: Condition, *,
         condition.damage.append(f"it cannot be read to its end ({shortened(f'{type(error).__name__}: {error}')})")
 
 
-def _mcap(path: Path, wanted: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
+def _mcap(path: Path, requested: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
     """Yield the messages of an MCAP file."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -322,9 +324,9 @@ def _mcap(path: Path, wanted: Callable[[str], bool], condition: Condition) -> It
                 schema = None if channel is None else schemas.get(channel.schema_id)
                 if channel is not None:
                     condition.counts[channel.topic] += 1
-                if channel is None or (schema is None and wanted(channel.topic)):
+                if channel is None or (schema is None and requested(channel.topic)):
                     condition.damage.append(f"a message is of channel {record.channel_id}, which has no type")
-                elif schema is not None and wanted(channel.topic):
+                elif schema is not None and requested(channel.topic):
                     defined = (schema.encoding, schema.data)
                     encoding = channel.message_encoding
                     yield Received(channel.topic, schema.name, record.data, record.log_time, encoding, defined)

@@ -56,7 +56,7 @@ def _counts(spec: EpisodeSpec) -> bool:
 
 
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
-    """Return how many kamikaze trajectories were wanted for each φ.
+    """Return how many kamikaze trajectories were requested for each φ.
 
     That is as many as were found, if that ended a set; else half of the number of trials after which a set is given
     up.
@@ -144,12 +144,12 @@ def assessment_from_logs(
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = unfinished_episodes(unfinished)
     reached = {str(one.plan.objective): one.successes_by_phi for one in assessment.results}
-    wanted = max((count for counts in reached.values() for count in counts), default=0)
+    requested = max((count for counts in reached.values() for count in counts), default=0)
     for objective in objectives:
         own = [name.episode_id for name in announced if name.objective in ("", objective)]
         by_index = dict(zip(sorted(groups), reached[str(objective)], strict=True))
         which = f" of objective {objective}" if len(objectives) > 1 else ""
-        lines += missing_episodes(own, by_index, wanted=wanted, left_out=bool(damage.left_out), which=which)
+        lines += missing_episodes(own, by_index, requested=requested, left_out=bool(damage.left_out), which=which)
     lines += aborted_episodes([episode.log for episode in chosen])
     lines += lost
     lines += not_credible_beside(recorded.files)

@@ -301,9 +301,9 @@ def bag_tracks(
             back.
     """
     damage = damage or Damage()
-    asked = {name.partition(":")[0] for name in names} | ({tf} if map_frame is not None else set())
-    wanted = asked | {f"{topic}_static" for topic in asked}
-    bag = _read(files, wanted.__contains__, longest_gap, damage)
+    topics = {name.partition(":")[0] for name in names} | ({tf} if map_frame is not None else set())
+    requested = topics | {f"{topic}_static" for topic in topics}
+    bag = _read(files, requested.__contains__, longest_gap, damage)
     found: dict[str, tuple[list[_Row], str]] = {}
     for name in names:
         topic, _, id_ = name.partition(":")
@@ -366,12 +366,12 @@ def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] =
     return found
 
 
-def _read(files: Sequence[Path], wanted: Any, longest_gap: float, damage: Damage, *, readable: bool = False) -> _Bag:
-    """Return what is on wanted topics, of types that are not read only where they are not to be left out."""
+def _read(files: Sequence[Path], requested: Any, longest_gap: float, damage: Damage, *, readable: bool = False) -> _Bag:
+    """Return what is on requested topics, of types that are not read only where they are not to be left out."""
     bag = _Bag(str(files[0] if len(files) == 1 else files[0].parent))
     for file in files:
         condition = Condition()
-        for received in read_messages(file, wanted, condition):
+        for received in read_messages(file, requested, condition):
             topic, kind = received.topic, received.type
             if kind not in (*_READ, _TRANSFORMS):
                 continue
@@ -513,7 +513,7 @@ def _clean(
 def _track(
     bag: _Bag, name: str, rows: Sequence[_Row], origin: int, map_frame: str | None, tf: str, how: str, damage: Damage
 ) -> Track:
-    """Return the track of rows by their times, in the frame in which they are wanted."""
+    """Return the track of rows by their times, in the frame in which they are requested."""
     topic = name.partition(":")[0]
     is_frame = topic in bag.trees and topic not in bag.rows
     frames = list(dict.fromkeys(one.frame for one in rows))

@@ -2,7 +2,7 @@
 
 Each frame has samples of its own, each with its parent, so a frame may be attached elsewhere later. Between two samples
 of one parent places go in straight lines and turns by the shortest way, and so for less than one usual step before the
-first and after the last; nothing is said beyond, or in a hole. Only frames between the two asked for are looked
+first and after the last; nothing is said beyond, or in a hole. Only frames between the two requested are looked
 at. A transform that is no transform is dropped, as tf2 does. Times are whole nanoseconds, so the same recording at
 another time gives the same numbers.
 """
@@ -51,7 +51,7 @@ class Poses(NamedTuple):
 
 
 class At(NamedTuple):
-    """When something is asked for, n each, ns: by the stamps, and by the recorder, which fixed frames go by."""
+    """When something is requested, n each, ns: by the stamps, and by the recorder, which fixed frames go by."""
 
     stamps: IntArray
     logged: IntArray
@@ -221,14 +221,14 @@ class Transforms:
         frame: str,
         parent: str,
         stamps: IntArray,
-        asked: IntArray,
+        requested: IntArray,
         before: IntArray,
         inside: BoolArray,
         hole: BoolArray,
     ) -> None:
-        """Take note of when nothing is said, as far as it is asked for."""
+        """Take note of when nothing is said, as far as it is requested."""
         spans = [(stamps[one], stamps[one + 1]) for one in np.unique(before[inside & hole]).tolist()]
-        outside = asked[~inside]
+        outside = requested[~inside]
         if outside.size and outside[0] < stamps[0]:
             spans.insert(0, (outside[0], stamps[0]))
         if outside.size and outside[-1] > stamps[-1]:

@@ -348,7 +348,7 @@ def _does_not_publish(seen: Evidence) -> str | None:
     return f"no node publishes on {seen.awaited.topic}; nodes that are not SKD's: {names}"
 
 
-def _nobody(seen: Evidence) -> str:
+def _not_there(seen: Evidence) -> str:
     return (
         f"no node publishes on {seen.awaited.topic}, and there is no node but SKD's own: start it, in the same "
         "ROS_DOMAIN_ID"
@@ -371,7 +371,7 @@ CAUSES = (
     Cause("follows the clock", False, _follows_clock),
     Cause("silent", False, _silent),
     Cause("does not publish", False, _does_not_publish),
-    Cause("not there", False, _nobody),
+    Cause("not there", False, _not_there),
 )
 """In the order in which they are tried."""
 

@@ -64,7 +64,7 @@ class ActionSpace:
         self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
         user = road_user_named(scenario.adversary.kind)
         self._motion = RoadUserMotion(user, scenario, self.path)
-        self._wanted = path_velocities(self.path, ticks, scenario.time_step).tolist()
+        self._phi_velocities = path_velocities(self.path, ticks, scenario.time_step).tolist()
         self.table: FloatArray | None = None
         if user is PEDESTRIAN:
             self.table = np.array([velocities(scenario, self.path, tick) for tick in range(ticks)])
@@ -94,7 +94,7 @@ class ActionSpace:
         motion.begin()
         x, y = self.path[0].tolist()
         found = [(x, y)]
-        for action, (vx, vy) in zip(actions.tolist(), self._wanted, strict=True):
+        for action, (vx, vy) in zip(actions.tolist(), self._phi_velocities, strict=True):
             if action == self.as_phi:
                 vx, vy = motion.nearest(vx, vy)
             else:
