@@ -3,14 +3,14 @@
 A world is a simulator and, after a slash, the dynamics of its car: `world` (SKD's own, with the basic car),
 `world/multi_body`, `metadrive`. In each, every car of the list is assessed by the command that a user has, against the
 same safe trajectories φ, which are planned in SKD's own world and then handed to all. Kamikazes know the same of every
-car in every world (--knowledge, by default nothing), for otherwise planned figures would not compare.
+car in every world (--adversary-model, by default generic), for otherwise planned figures would not compare.
 
 Printed are, for each car, margin, planned deviation, SKD and the equivalent multiplier in each world: the C of the
 basic car with the same margin in that world, read off the basic cars of the list. Then, for each two worlds, Kendall's
 τ of each figure, with the intervals of rank_agreement.py.
 
     python benchmarks/transfer.py --out DIR [--worlds NAME ...] [--cars LABEL ...] [--safe-count N]
-        [--kamikaze-count N] [--knowledge KIND] [--margin-limit N] [--seed N] [--workers N] [--json]
+        [--kamikaze-count N] [--adversary-model KIND] [--margin-limit N] [--seed N] [--workers N] [--json]
 
 Cars are labels of cars/catalogue.py. DIR keeps every assessment, and the same command goes on from there.
 """
@@ -131,7 +131,7 @@ def assess(car: Car, where: TestWorld, arguments: argparse.Namespace) -> StoredR
         words += ["--multiplier", str(car.multiplier)] if car.has_multiplier else []
         words += ["--safe-count", str(arguments.safe_count), "--kamikaze-count", str(arguments.kamikaze_count)]
         words += ["--collision-runs", str(arguments.safe_count), "--behaviour", "none", "--objective", "both"]
-        words += ["--knowledge", arguments.knowledge, "--margin-limit", str(arguments.margin_limit)]
+        words += ["--adversary-model", arguments.adversary_model, "--margin-limit", str(arguments.margin_limit)]
         words += ["--seed", str(arguments.seed), "--workers", str(arguments.workers), "--no-pictures", "--quiet"]
         searched = [str(Path(__file__).resolve().parent), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(searched)}
@@ -285,7 +285,7 @@ def main() -> None:
     parser.add_argument("--cars", nargs="+", default=list(TEN), choices=[car.label for car in CARS], metavar="LABEL")
     parser.add_argument("--safe-count", type=int, default=10, metavar="N", help="φ (default 10)")
     parser.add_argument("--kamikaze-count", type=int, default=5, metavar="N", help="per φ and objective (default 5)")
-    parser.add_argument("--knowledge", default="nothing", choices=("nothing", "learned"))
+    parser.add_argument("--adversary-model", default="generic", choices=("generic", "learned"))
     parser.add_argument("--margin-limit", type=int, default=512, metavar="N", help="as in skd assess (default 512)")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=2, metavar="N")

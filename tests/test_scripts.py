@@ -138,7 +138,17 @@ def test_a_class_in_the_working_folder_is_found_and_hides_no_module_of_skds(tmp_
         "import os\nclass Car:\n    def reset(self, scenario, rng): pass\n"
         "    def command(self, car, adversary): return 'hash seed ' + os.environ['PYTHONHASHSEED']\n"
     )
-    words = ("--knowledge", "nothing", "--margin-limit", "0", "--behaviour", "none", "--safe-count", "1", "--quiet")
+    words = (
+        "--adversary-model",
+        "generic",
+        "--margin-limit",
+        "0",
+        "--behaviour",
+        "none",
+        "--safe-count",
+        "1",
+        "--quiet",
+    )
     done = subprocess.run(
         [ROOT / "scripts" / "skd", "assess", "--controller", "car:Car", *words, "--out", tmp_path / "out"],
         cwd=tmp_path,

@@ -16,7 +16,9 @@ CAR = Path(__file__).resolve().parents[1] / "vendor_controller" / "vendor_contro
 def generate_test_description():
     """Start the car's node and, beside it, what assesses it."""
     car = ExecuteProcess(cmd=["python3", str(CAR)])
-    return LaunchDescription([car, assessment(OUT, safe_count=2, kamikaze_count=2, knowledge="nothing"), ReadyToTest()])
+    return LaunchDescription(
+        [car, assessment(OUT, safe_count=2, kamikaze_count=2, adversary_model="generic"), ReadyToTest()]
+    )
 
 
 class TestSafety(unittest.TestCase):

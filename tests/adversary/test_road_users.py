@@ -22,7 +22,7 @@ from skd_adversary.crossing.road_users import (
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Knowledge, Objective
+from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import load_scenario
@@ -133,7 +133,7 @@ def test_a_kamikaze_leaves_phi_by_what_a_driver_does_and_for_nothing_beyond_eta_
             multiplier=0.5,
             simulations=300,
             objective=Objective.DEVIATION,
-            knowledge=Knowledge.KNOWN,
+            adversary_model=AdversaryModel.EXACT,
         )
         ticks = log.impact_time / STEP
         found = deviation(AHEAD.positions, log.trajectory.positions, ticks) if log.hit else CUT_IN.eta_max

@@ -42,7 +42,7 @@ def test_phi_are_the_same_to_the_last_bit_when_they_are_read(tmp_path):
 
 def test_cars_are_rated_in_a_world_once_and_stand_in_the_table(tmp_path, capsys):
     arguments = argparse.Namespace(
-        out=tmp_path, safe_count=2, kamikaze_count=1, knowledge="nothing", margin_limit=64, seed=0, workers=1
+        out=tmp_path, safe_count=2, kamikaze_count=1, adversary_model="generic", margin_limit=64, seed=0, workers=1
     )
     worlds = [transfer.world("world")]
     table = transfer.rated(CARS_HERE, worlds, arguments)

@@ -41,7 +41,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd scenarios check": "tests/evaluator/test_scenarios_command.py checks files of one's own",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
-    r".* sumo_drivers:Krauss --knowledge": "examples/sumo/README.md has it in fewer words",
+    r".* sumo_drivers:Krauss --adversary-model": "examples/sumo/README.md has it in fewer words",
     r".* --scenario prompt.yaml": "of a file that the reader makes, and of results of a benchmark",
     r".*\.venv-commonroad": "an environment of its own: tests/examples/test_commonroad_planner.py runs there",
 }
@@ -54,8 +54,8 @@ SMALLER = {  # what is put behind a command, so that it takes a second
     "probe": "--episodes 30 --workers 1",
 }
 QUICKER = {"drive": "-p rate_factor:=100"}  # of a command that writes no result
-UNLEARNED = {"--car-model", "--knowledge"}  # without these a car that is not the basic one is learned first
-NO_LEARNING = ["--knowledge", "nothing"]
+UNLEARNED = {"--car-model", "--adversary-model"}  # without these a car that is not the basic one is learned first
+NO_LEARNING = ["--adversary-model", "generic"]
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
 SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}
 SHOWN = {"assess": "--workers 1"}  # what the output does not depend on

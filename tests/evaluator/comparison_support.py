@@ -20,6 +20,6 @@ FIGURES: dict[str, Any] = {
     "margin_note": "",
     "deviation": 1.0,
     "nominal_collision_rate": 0.0,
-    "knowledge": "known",
+    "adversary_model": "exact",
     "objectives": {"deviation": {}, "paper": {}},
 }

@@ -21,7 +21,7 @@ from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.cars import AnyCar, batched_car
 from skd_evaluator.risk.crossings import CrossingPlan
-from skd_sim.options.adversary import Knowledge
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -104,7 +104,7 @@ def safe():
 
 
 def crossing_plan(policy, safe, scenario=SCENARIO):
-    plan = Plan(scenario, safe_count=2, seed=5, controller=policy, knowledge=Knowledge.NOTHING)
+    plan = Plan(scenario, safe_count=2, seed=5, controller=policy, adversary_model=AdversaryModel.GENERIC)
     return CrossingPlan(plan, safe, load_behaviour("walkers").values)
 
 

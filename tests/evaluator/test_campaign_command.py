@@ -91,13 +91,13 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
         assert figures(cell) == figures(here / row["name"])
         for name in ("margin", "deviation"):
             assert row[name] == figures(cell)[name] is not None
-        assert (row["knowledge"], row["ranking_objective"]) == ("known", "deviation")
+        assert (row["adversary_model"], row["ranking_objective"]) == ("exact", "deviation")
         with np.load(cell / "episodes.npz") as arrays:
             assert row["episodes"] == (arrays["mode"] != Mode.SAFE).sum()
     with (here / "out" / "campaign.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
     assert [float(line["skd"]) for line in table] == [row["skd"] for row in rows]
-    assert [line["knowledge"] for line in table] == ["known", "known"]
+    assert [line["adversary_model"] for line in table] == ["exact", "exact"]
     assert campaign(here)["planned_refusal"] == ""
     assert names(here / "out") == [".lock", "basic-C0.75", "basic-C1", "campaign.csv", "campaign.json", "cells.json"]
     assert skd_here("report", "out", "--out", "report.html").returncode == 0
@@ -114,15 +114,15 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
     assert figures(here / "out" / "basic-C0.75") == figures(here / "basic-C0.75")
 
 
-def test_planned_figures_of_unlike_knowledge_are_not_ranked(here, skd_here, monkeypatch):
+def test_planned_figures_of_unlike_adversary_models_are_not_ranked(here, skd_here, monkeypatch):
     monkeypatch.syspath_prepend(here)
-    write(here, "cars: [{controller: my_cars:Fine, knowledge: nothing}, {controller: basic}]", margin_limit=20)
+    write(here, "cars: [{controller: my_cars:Fine, adversary_model: generic}, {controller: basic}]", margin_limit=20)
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
     assert done.returncode == 0, done.stderr
-    knowledge = [row["knowledge"] for row in campaign(here)["cells"]]
-    assert knowledge[1] == "known" != knowledge[0]
+    adversary_model = [row["adversary_model"] for row in campaign(here)["cells"]]
+    assert adversary_model[1] == "exact" != adversary_model[0]
     (line,) = [line for line in done.stderr.splitlines() if "planned figures" in line]
-    assert f"knowledge of the car {knowledge[0]} and known" in line
+    assert f"adversary model {adversary_model[0]} and exact" in line
     head = "".join(done.stdout.splitlines()[1:3])
     assert head.index("margin") < head.index("planned")
     assert "nothing" in done.stdout or "learned" in done.stdout
@@ -141,7 +141,9 @@ def test_what_would_be_run_is_said_without_running_it(here, skd_here):
 def test_a_cell_that_fails_costs_no_other(here, skd_here, monkeypatch):
     monkeypatch.syspath_prepend(here)
     write(
-        here, "cars: [{controller: my_cars:Raises, knowledge: nothing}, {controller: my_cars:Fine, knowledge: nothing}]"
+        here,
+        "cars: [{controller: my_cars:Raises, adversary_model: generic}, "
+        "{controller: my_cars:Fine, adversary_model: generic}]",
     )
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
     assert done.returncode == 1

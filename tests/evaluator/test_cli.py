@@ -93,7 +93,7 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
 )
 def test_failing_controller(here, name, workers, parts):
     done = skd(
-        "assess", *SMALL, "--workers", workers, "--safe", "good.csv", "--knowledge", "nothing",
+        "assess", *SMALL, "--workers", workers, "--safe", "good.csv", "--adversary-model", "generic",
         "--controller", f"my_cars:{name}", "--out", "out",
         cwd=here,
     )  # fmt: skip
@@ -102,7 +102,7 @@ def test_failing_controller(here, name, workers, parts):
 
 
 def test_user_controller_is_assessed(here):
-    mine = ("--knowledge", "nothing", "--controller", "my_cars:Fine", "--safe", "good.csv", "--margin-limit", "0")
+    mine = ("--adversary-model", "generic", "--controller", "my_cars:Fine", "--safe", "good.csv", "--margin-limit", "0")
     done = skd_from_nothing("assess", *SMALL, *mine, "--details", "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
@@ -247,7 +247,8 @@ def test_interrupted(here, name, number, to_all, processes):
     (here / "work").mkdir()
     command = [
         sys.executable, "-m", "skd_evaluator", "assess", "--safe", "../good.csv", "--safe-count", "1", "--workers", "2",
-        "--kamikaze-count", "100000", "--knowledge", "nothing", "--controller", name, "--out", "../out", "--overwrite",
+        "--kamikaze-count", "100000", "--adversary-model", "generic", "--controller", name,
+        "--out", "../out", "--overwrite",
     ]  # fmt: skip
     process = subprocess.Popen(
         command,
@@ -288,7 +289,7 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
         CONTROLLERS + counting + "        open('/dev/shm/' + os.environ['N'], 'a').write('x')\n"
     )
     counted = Path("/dev/shm") / f"skd-{here.name}-{os.getpid()}"
-    command = ["assess", *SMALL, "--kamikaze-count", "1000", "--safe", "good.csv", "--knowledge", "nothing"]
+    command = ["assess", *SMALL, "--kamikaze-count", "1000", "--safe", "good.csv", "--adversary-model", "generic"]
     command += ["--controller", "./my_cars.py:Counts", "--out", "out", "--margin-limit", "0"]
     try:
         process = started(*command, cwd=here, N=counted.name)
@@ -321,7 +322,7 @@ def waiting_run(here: Path) -> ForkedSkd:
         "        open('begun', 'a').close()\n        while not os.path.exists('go'): time.sleep(0.01)\n"
     )
     command = ["assess", *SMALL, "--safe", "good.csv", "--out", "out"]
-    process = started(*command, "--knowledge", "nothing", "--controller", "my_cars:Waits", cwd=here)
+    process = started(*command, "--adversary-model", "generic", "--controller", "my_cars:Waits", cwd=here)
     wait_until((here / "begun").exists)
     return process
 

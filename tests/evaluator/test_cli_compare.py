@@ -36,7 +36,7 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     rows = content(here / "both" / "comparison.json")["rows"]
     assert [row["car"] for row in rows] == ["basic, C = 0.5", "basic, C = 0.9"]
     assert [rows[0][name] for name in ("margin", "deviation")] == [first["margin"], first["deviation"]]
-    assert rows[0]["knowledge"] == "known"
+    assert rows[0]["adversary_model"] == "exact"
     assert "not compared" in compared.stdout  # one φ says nothing about how φ differ
     (held,) = content(here / "both" / "comparison.json")["comparisons"]
     for name in ("margin", "deviation"):

@@ -29,7 +29,7 @@ class StoodStill:
         near = -1.0 <= adversary.y - car.y - 2.25 <= 20.0 and adversary.x < 2.0
         return -8.0 if near and self.ignores < 0 else 0.0
 '''
-SMALL = {"safe_count": 4, "kamikaze_count": 3, "collision_runs": 4, "simulations": 20, "knowledge": "nothing"}
+SMALL = {"safe_count": 4, "kamikaze_count": 3, "collision_runs": 4, "simulations": 20, "adversary_model": "generic"}
 
 
 def quiet(_label: str, _done: int, _total: int) -> None:

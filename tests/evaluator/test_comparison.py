@@ -164,18 +164,18 @@ def test_what_makes_a_verdict_doubtful_is_said(name: str, value: Any) -> None:
     assert str(value) in found.warnings[0]
 
 
-def test_the_margin_judges_where_planned_figures_are_of_unlike_knowledge() -> None:
-    first = result("a", values(1), planned=values(5, shift=2.0), knowledge="nothing")
-    second = result("b", values(1, shift=0.5), planned=values(5), knowledge="learned")
+def test_the_margin_judges_where_planned_figures_are_of_unlike_adversary_models() -> None:
+    first = result("a", values(1), planned=values(5, shift=2.0), adversary_model="generic")
+    second = result("b", values(1, shift=0.5), planned=values(5), adversary_model="learned")
     found = compare(first, second)
     assert (found.verdict, found.judged_by) == (SAFER, "margin")
     assert found.planned_refusal == (
-        "planned figures are not compared: a and b have knowledge of the car nothing and learned"
+        "planned figures are not compared: a and b have adversary model generic and learned"
     )
     assert found.lines() == [found.planned_refusal]
     assert not set(PLANNED) & set(found.differences)
     assert {"margin", "nominal_collision_rate", "contact_rate"} == set(found.differences)
-    again = compare(first, result("b", values(1, shift=0.5), planned=values(5), knowledge="nothing"))
+    again = compare(first, result("b", values(1, shift=0.5), planned=values(5), adversary_model="generic"))
     assert set(PLANNED) < set(again.differences)
 
 
@@ -305,7 +305,7 @@ def test_without_a_margin_planned_deviations_judge_and_it_is_said() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"knowledge": "nothing"}, {"scenario": with_hit_speed(None), "nominal_collision_rate": None}],
+    [{"adversary_model": "generic"}, {"scenario": with_hit_speed(None), "nominal_collision_rate": None}],
     ids=["knows", "hits"],
 )
 def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict(changes: dict[str, Any]) -> None:

@@ -45,7 +45,7 @@ def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> Episod
         controller=name,
         mode=mode,
         objective=Objective.DEVIATION,
-        knowledge=plan.knows,
+        adversary_model=plan.resolved_adversary_model,
     )
 
 

@@ -28,7 +28,7 @@ from skd_evaluator.assessment.files.episode_store import (
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Knowledge, Objective
+from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -117,9 +117,10 @@ def test_whatever_is_specified_is_in_the_digest():
         dataclasses.replace(base, **change)
         for change in (
             {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"multiplier": 0.5},
-            {"controller": "cal", "knowledge": Knowledge.NOTHING},
+            {"controller": "cal", "adversary_model": AdversaryModel.GENERIC},
             {"simulations": 7}, {"objective": Objective.FRECHET}, {"particles": 9}, {"maximum_distance": 2.0},
-            {"name": "mine"}, {"car_model": "{}", "knowledge": Knowledge.LEARNED}, {"simulator": "elsewhere"},
+            {"name": "mine"}, {"car_model": "{}", "adversary_model": AdversaryModel.LEARNED},
+            {"simulator": "elsewhere"},
             {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},
             {"safe_trajectory": dataclasses.replace(ACROSS, name="along")},
             {"scenario": dataclasses.replace(CROSSING, eta_max=4.0)},

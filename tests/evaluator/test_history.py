@@ -137,7 +137,7 @@ def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys, monkeypatch):
         shutil.copytree(sweep / "synthetic" / "C_1", tmp_path / name)
         (tmp_path / name / MANIFEST).unlink()
     path = tmp_path / "second" / "assessment.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "knowledge": "nothing", "version": "9.9"}))
+    path.write_text(json.dumps({**json.loads(path.read_text()), "adversary_model": "generic", "version": "9.9"}))
     assert main(["list", *folders, "--trend", "deviation"]) == 0
     said = capsys.readouterr()
     warnings = [line for line in said.err.splitlines() if "manifest" not in line]

@@ -45,7 +45,7 @@ def test_a_car_that_looks_at_the_scene_sees_the_car_ahead(tmp_path: Path) -> Non
     """It does not look at the adversary at all, and yet nothing but the adversary is hit."""
     behind(tmp_path)
     (tmp_path / "mine.py").write_text(LOOKS_AHEAD, encoding="utf-8")
-    words = ("--controller", "mine:LooksAhead", "--knowledge", "nothing", "--scenario", "behind.yaml", *COUNTS)
+    words = ("--controller", "mine:LooksAhead", "--adversary-model", "generic", "--scenario", "behind.yaml", *COUNTS)
     done = skd("assess", *words, "--out", "out", cwd=tmp_path, PYTHONPATH=str(tmp_path))
     assert done.returncode == 0, done.stderr
     assert "the car ran into others" not in done.stderr

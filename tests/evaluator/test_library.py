@@ -63,7 +63,7 @@ QUITTED = {
     "kamikaze_count": 1,
     "collision_runs": 8,
     "simulations": 20,
-    "knowledge": "nothing",
+    "adversary_model": "generic",
 }
 ALONE = {"margin_limit": 0, "behaviour": "none", "workers": 1}
 
@@ -93,7 +93,7 @@ THREADS = """
 import sys, threading
 from skd_evaluator import assess
 
-OPTIONS = dict(safe_count=2, kamikaze_count=1, collision_runs=4, simulations=10, knowledge="nothing", workers=1)
+OPTIONS = dict(safe_count=2, kamikaze_count=1, collision_runs=4, simulations=10, adversary_model="generic", workers=1)
 begun = []
 
 def watch(event, arguments):

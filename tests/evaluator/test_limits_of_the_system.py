@@ -37,7 +37,7 @@ def noisy(here: Path, first: Callable[[], object]) -> bytes:
     (here / "noisy.py").write_text(NOISY)
     (here / "good.csv").write_text(CROSSING)
     done = run(
-        here, "--knowledge", "nothing", "--controller", "noisy:Car", "--no-pictures", "--out", "out", first=first
+        here, "--adversary-model", "generic", "--controller", "noisy:Car", "--no-pictures", "--out", "out", first=first
     )
     assert done.returncode == 0
     assert "Traceback" not in done.stdout

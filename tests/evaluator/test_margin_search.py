@@ -24,7 +24,7 @@ from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_m
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.controllers import BasicController, Controller, make_controller
-from skd_sim.options.adversary import Knowledge
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, controller_generator, controller_seed
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
@@ -239,7 +239,7 @@ def test_what_kamikazes_did_is_begun_with():
 )
 def test_other_cars_and_roads_are_hit_as_the_search_says(controller, scenario):
     setting = Plan(load_scenario(scenario), controller=controller).scenario
-    known = replace(kamikaze_episode(POINTS), knowledge=Knowledge.NOTHING)
+    known = replace(kamikaze_episode(POINTS), adversary_model=AdversaryModel.GENERIC)
     episode = replace(known, scenario=setting, controller=controller)
     (hit,) = searched([episode], LITTLE).hits
     assert hit is not None
@@ -322,7 +322,7 @@ def test_no_hit_beyond_eta_max_counts():
 def test_along_the_lane_the_search_finds_the_exact_margin():
     """Where nobody crosses; the same law as a user's class is searched, not predictable."""
     few = {"scenario": "cpla", "safe": "regulatory", "safe_count": 2, "kamikaze_count": 2, "collision_runs": 2}
-    few |= {"simulations": 20, "knowledge": "nothing", "behaviour": "none"}
+    few |= {"simulations": 20, "adversary_model": "generic", "behaviour": "none"}
     known, margins = (assess(car, **few).as_dict() for car in ("basic", "skd_sim.controllers.basic:BasicController"))
     assert known["margin_budget"] is None  # it is exact
     assert margins["margin_budget"] > 0

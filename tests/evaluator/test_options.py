@@ -97,7 +97,10 @@ def test_an_episode_survives_its_message():
         ('{"particles": 1.5}', "particles must be a whole number from 0 to 1000000, got 1.5"),
         ('{"particles": true}', "particles must be a whole number from 0 to 1000000, got True"),
         ('{"particles": NaN}', "NaN is no number"),
-        ('{"knowledge": "larned"}', "knowledge must be one of nothing, learned, known, got 'larned'; did you mean"),
+        (
+            '{"adversary_model": "larned"}',
+            "adversary_model must be one of generic, learned, exact, got 'larned'; did you mean",
+        ),
         ('{"simulator": 3}', "simulator must be one of world, metadrive"),
         ('{"controller": "cal"}', "controller has a field of its own"),
     ],

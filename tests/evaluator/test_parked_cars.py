@@ -19,7 +19,7 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.deviation import Hit
-from skd_sim.options.adversary import Knowledge, Objective
+from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
@@ -65,11 +65,11 @@ def test_kamikazes_go_around_and_hit(objective: Objective) -> None:
     assert sum(log.hit for log in logs) >= 9
 
 
-@pytest.mark.parametrize("knowledge", [Knowledge.NOTHING, Knowledge.LEARNED])
-def test_whatever_they_know(knowledge: Knowledge) -> None:
+@pytest.mark.parametrize("adversary_model", [AdversaryModel.GENERIC, AdversaryModel.LEARNED])
+def test_whatever_they_know(adversary_model: AdversaryModel) -> None:
     scenario = parked()
-    model = any_car_models()[1] if knowledge == Knowledge.LEARNED else ""
-    for one in episodes(scenario, 3, knowledge=knowledge, car_model=model, simulations=100):
+    model = any_car_models()[1] if adversary_model == AdversaryModel.LEARNED else ""
+    for one in episodes(scenario, 3, adversary_model=adversary_model, car_model=model, simulations=100):
         log = run_episode(one)
         assert_free(scenario, log.trajectory.positions, CROSSING.adversary.core)
 

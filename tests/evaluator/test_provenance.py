@@ -21,7 +21,9 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
     begin = datetime.now(UTC).replace(microsecond=0)
     command = ["assess", *SMALL, "-p", "curve:=true", "--margin-limit", "20", "--safe", "good.csv", "--objective"]
-    done = skd_here(*command, "deviation", "--knowledge", "nothing", "--controller", "my_cars:Fine", "--out", "out dir")
+    done = skd_here(
+        *command, "deviation", "--adversary-model", "generic", "--controller", "my_cars:Fine", "--out", "out dir"
+    )
     assert done.returncode == 0, done.stderr
     result = content(here / "out dir")
     assert_valid(result)

@@ -153,7 +153,7 @@ def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeyp
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     rating = assess("fails_alone:Car", scenario="cpna-50", safe="regulatory", objective="deviation", margin_limit=0,
-                    kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", knowledge="nothing",
+                    kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", adversary_model="generic",
                     workers=1)  # fmt: skip
     (test,) = rating.static_tests
     assert "ZeroDivisionError" in test["aborted"]

@@ -284,7 +284,7 @@ def cars(tmp_path: Path) -> Path:
 
 SMALL = (
     "--safe-count", "3", "--kamikaze-count", "4", "--collision-runs", "12", "--simulations", "200", "--quiet",
-    "--behaviour", "none", "--knowledge", "nothing", "--margin-limit", "0",
+    "--behaviour", "none", "--adversary-model", "generic", "--margin-limit", "0",
 )  # fmt: skip
 
 

@@ -194,14 +194,14 @@ def test_margin_trajectories_are_in_the_page_the_least_first(report, subjects):
             assert said["margins"][index] == pytest.approx(np.fmin(every, arrays["eta_max"]).tolist(), abs=6e-4)
 
 
-def test_nobody_is_ranked_by_what_was_planned_with_unlike_knowledge(subjects, tmp_path):
-    """Of results without a margin, planned figures of one knowledge are put in order, others are not."""
+def test_nobody_is_ranked_by_what_was_planned_with_unlike_adversary_models(subjects, tmp_path):
+    """Of results without a margin, planned figures of one adversary model are put in order, others are not."""
     folders = []
-    for number, knowledge in enumerate(("nothing", "learned", "learned")):
+    for number, adversary_model in enumerate(("generic", "learned", "learned")):
         changes = {
             **dict.fromkeys((*NO_MARGIN, "optimality_gap")),
             "margin_note": "not asked for",
-            "knowledge": knowledge,
+            "adversary_model": adversary_model,
         }
         folder = edited(subjects[number % 2].folder, tmp_path / str(number), vulnerability_curve=None, **changes)
         with np.load(folder / "episodes.npz") as stored:

@@ -92,7 +92,7 @@ def test_the_command_line_says_so_before_any_work(command, tmp_path: Path, capsy
     code = main(
         [
             *command,
-            "--knowledge",
+            "--adversary-model",
             "nothing",
             "--controller",
             "cal",

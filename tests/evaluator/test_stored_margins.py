@@ -107,11 +107,11 @@ def test_the_gate_goes_by_the_margin(folders, tmp_path):
     assert worse.text.startswith("less safe: margin -")
     assert check_not_worse(safe, read_result(easily_hit)).passed
     # The margin does not ask what kamikazes knew; their own figures do, in one line.
-    other = edited(easily_hit, tmp_path / "other", knowledge="nothing")
+    other = edited(easily_hit, tmp_path / "other", adversary_model="generic")
     found = check_not_worse(other, read_result(safe))
     assert found.failed
     assert found.text.count("planned figures are not compared") == 1
-    assert "knowledge of the car known and nothing" in found.text
+    assert "adversary model exact and generic" in found.text
     value = read_result(safe).figures["margin"]
     (least,) = check_limits(read_result(safe).figures, [Limit("margin", value)])
     assert least.passed
@@ -120,7 +120,7 @@ def test_the_gate_goes_by_the_margin(folders, tmp_path):
 
 
 def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, folders, tmp_path):
-    one, two = folders[0.5], edited(folders[1.15], tmp_path / "two", knowledge="nothing")
+    one, two = folders[0.5], edited(folders[1.15], tmp_path / "two", adversary_model="generic")
     done = skd_here("compare", str(one), str(two), "--difference", "0.3", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -129,7 +129,7 @@ def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, fo
     within = (margins[1] - margins[0]).var(axis=1, ddof=1).mean()
     assert found["variance_within"] == pytest.approx(within)
     refused = skd_here("compare", str(one), str(two), "--difference", "0.3", "--figure", "deviation")
-    one_line(refused, 2, "planned figures are not compared", "knowledge of the car known and nothing")
+    one_line(refused, 2, "planned figures are not compared", "adversary model exact and generic")
     limited = edited(folders[1.15], tmp_path / "limited", maximum_distance=2.0)
     refused = skd_here("compare", str(one), str(limited), "--difference", "0.3", "--figure", "deviation")
     one_line(refused, 2, "planned figures are not compared", "maximum distance (m) none and 2")

@@ -88,7 +88,7 @@ def cars(here: Path) -> Path:
 def words(name: str, *more: str) -> list[str]:
     controller = name if ":" in name else f"cars:{name}"
     return [
-        "assess", *SMALL, "--safe", "good.csv", "--knowledge", "nothing", "--margin-limit", "0",
+        "assess", *SMALL, "--safe", "good.csv", "--adversary-model", "generic", "--margin-limit", "0",
         "--controller", controller, "--out", "out", *more,
     ]  # fmt: skip
 

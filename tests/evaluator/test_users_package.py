@@ -54,7 +54,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_of_each(package: Path, tmp_path: Path):
     words = (
         "--details", "--controller", "careful", "--scenario", "quiet", "--objective", "near", "--simulator", "ice",
-        "--workers", "1", "--knowledge", "nothing", "--margin-limit", "16",
+        "--workers", "1", "--adversary-model", "generic", "--margin-limit", "16",
     )  # fmt: skip
     done = skd_from_nothing("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
     assert done.returncode == 0, done.stderr
@@ -159,7 +159,7 @@ def test_a_name_of_two_packages_is_refused(tmp_path: Path):
     source = "class Careful:\n    pass\n"
     for name in ("one", "another"):
         installed(tmp_path / "site", name, entries.format(name), source)
-    words = ("assess", "--knowledge", "nothing", "--controller", "careful", *COUNTS)
+    words = ("assess", "--adversary-model", "generic", "--controller", "careful", *COUNTS)
     done = skd(*words, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
     assert done.returncode == 2
     assert "registered more than once: " in done.stderr

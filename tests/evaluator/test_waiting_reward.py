@@ -14,7 +14,7 @@ from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.assessment.stages.car_model import CHOICES, WAITING_TRIALS, with_waiting_reward
 from skd_evaluator.errors import AssessmentError
-from skd_sim.options.adversary import Knowledge, Objective
+from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -22,7 +22,7 @@ from skd_sim.world.state import Trajectory
 CROSSING = load_scenario("crossing")
 STANDS = Trajectory(np.zeros((4, 2)), CROSSING.time_step)
 LAW, FOREST = (fitted_car(text) for text in any_car_models())
-PLAN = Plan(CROSSING, controller="cars:Any", knowledge=Knowledge.LEARNED)
+PLAN = Plan(CROSSING, controller="cars:Any", adversary_model=AdversaryModel.LEARNED)
 USUAL, OTHERS = CHOICES[0], CHOICES[1:]
 
 
@@ -82,7 +82,7 @@ def test_trials_that_are_aborted_do_not_count_unless_all_are() -> None:
 def test_kamikazes_plan_with_it(car: FittedCar) -> None:
     said = dataclasses.replace(car, waiting_reward=-0.3)
     episode = EpisodeSpec(
-        CROSSING, Mode.KAMIKAZE, 0, 0, STANDS, knowledge=Knowledge.LEARNED, car_model=car_model_text(said)
+        CROSSING, Mode.KAMIKAZE, 0, 0, STANDS, adversary_model=AdversaryModel.LEARNED, car_model=car_model_text(said)
     )
     assert predicted_car(episode).parameters(CROSSING)["waiting_reward"] == -0.3
     silent = dataclasses.replace(episode, car_model=car_model_text(car))

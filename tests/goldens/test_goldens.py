@@ -32,8 +32,8 @@ CASES: dict[str, dict[str, Any]] = {
     "basic, C = 1.15": {"multiplier": 1.15, "curve": True},
     "basic, recorded φ": {"safe": TRACKS, "multiplier": 1.15},
     "basic, cyclist": {"scenario": "cyclist", "multiplier": 0.75},
-    "CAL": {"controller": "cal", "knowledge": "nothing", "kamikaze_count": 1, "margin_limit": 16},
-    "class with state": {"controller": "latched_car:LatchedCar", "safe": "own", "knowledge": "nothing"},
+    "CAL": {"controller": "cal", "adversary_model": "generic", "kamikaze_count": 1, "margin_limit": 16},
+    "class with state": {"controller": "latched_car:LatchedCar", "safe": "own", "adversary_model": "generic"},
 }
 EXACT = {name for name in CASES if name.startswith("basic, ") and "cyclist" not in name}
 """Cases whose margin is computed, not searched."""

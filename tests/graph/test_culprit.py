@@ -25,7 +25,7 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
 
 def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     """It says what it waits for, once, and does not wait for hours."""
-    finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=1.0)
+    finished = assess(tmp_path, safe, "--adversary-model", "generic", "--controller", "external", timeout=1.0)
     assert finished.code == 1
     assert finished.lines[0].startswith("skd: waiting for a publisher of /ego/acceleration_command (ROS_DOMAIN_ID=")
     first, last = finished.timeless[1:]
@@ -39,7 +39,7 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
 
 
 def test_all_aborted(tmp_path: Path, safe: Path) -> None:
-    finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "misbehaving:NeverWell")
+    finished = assess(tmp_path, safe, "--adversary-model", "generic", "--controller", "misbehaving:NeverWell")
     assert finished.code == 1
     first, *lost, undefined, aborted, log = finished.timeless
     assert [line.partition(" were aborted and count for nothing; no other")[1] != "" for line in lost] == [True] * 3
@@ -76,7 +76,7 @@ DIES = "import sys; print('brakes: no such device', file=sys.stderr); sys.exit(3
 )
 def test_a_command_that_does_not_run(tmp_path: Path, safe: Path, command: str, code: int, said: list[str]) -> None:
     finished = assess(
-        tmp_path, safe, "--knowledge", "nothing", "--controller", "external", "--controller-command", command
+        tmp_path, safe, "--adversary-model", "generic", "--controller", "external", "--controller-command", command
     )
     assert finished.code == code
     assert len(finished.timeless) == len(said)

@@ -118,7 +118,7 @@ def test_a_command_whose_own_node_hangs_in_its_end(tmp_path: Path, safe: Path) -
     """Results are written before, and it ends in time with the code that it deserves."""
     token = uuid.uuid4().hex
     arguments = [
-        "assess", "--graph", "--record", "--knowledge", "nothing", "--margin-limit", 0, "--behaviour", "none",
+        "assess", "--graph", "--record", "--adversary-model", "generic", "--margin-limit", 0, "--behaviour", "none",
         "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2, "--simulations", 50,
         "--out", tmp_path / "out",
     ]  # fmt: skip

@@ -15,7 +15,7 @@ from common import new_domain, wait_until
 from graph_support import Program, assert_same_results, skd
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.options.adversary import Knowledge
+from skd_sim.options.adversary import AdversaryModel
 
 MODULES = {
     "vehicle_simulator": "skd_sim.ros.simulator_node",
@@ -72,7 +72,7 @@ def test_an_episode_by_hand_is_one_bag_that_replays(tmp_path: Path) -> None:
     assert [program.finish().code for program in programs] == [0, 0, 0]
     (bag,) = (tmp_path / "out" / "bags").iterdir()
     (read,) = read_episodes([bag])
-    assert read.log.episode.knowledge == Knowledge.NOTHING
+    assert read.log.episode.adversary_model == AdversaryModel.GENERIC
     episode = json.loads((tmp_path / "out" / "episode.json").read_text())
     assert (read.log.outcome.name.lower(), len(read.log.car) - 1) == (episode["outcome"], episode["ticks"])
     replayed = run_episode(dataclasses.replace(read.log.episode, controller="basic", multiplier=1.0))
@@ -81,7 +81,7 @@ def test_an_episode_by_hand_is_one_bag_that_replays(tmp_path: Path) -> None:
 
 
 def test_an_episode_by_hand_learns_no_car(tmp_path: Path) -> None:
-    parameters = {"task": "episode", "controller": "external", "knowledge": "learned", "out": tmp_path / "out"}
+    parameters = {"task": "episode", "controller": "external", "adversary_model": "learned", "out": tmp_path / "out"}
     finished = node("evaluator", new_domain(), **parameters).finish()
     assert finished.code == 2
     assert "name a model with car_model" in finished.err

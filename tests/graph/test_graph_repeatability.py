@@ -14,7 +14,7 @@ NODE = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p"]
 PATHS = {"PYTHONPATH": str(HERE / "controllers")}
 SMALL = (
     *("--safe-count", 1, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 20, "--seed", 2),
-    *("--margin-limit", 0, "--behaviour", "none", "--knowledge", "nothing"),
+    *("--margin-limit", 0, "--behaviour", "none", "--adversary-model", "generic"),
 )
 
 

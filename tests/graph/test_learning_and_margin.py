@@ -24,19 +24,28 @@ from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
 from skd_sim.controllers import BasicController
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
 BASIC = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p", "controller:=basic"]
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
 RUNS = 6
 COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", RUNS, "--seed", 3)
-PLANNED = ("deviation", "deviation_ci95", "skd", "skd_ci95", "variance", "pairs", "contact_rate", "knowledge")
+PLANNED = ("deviation", "deviation_ci95", "skd", "skd_ci95", "variance", "pairs", "contact_rate", "adversary_model")
 
 
 def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """That of the basic car is known exactly; whoever drives a node can find no less, and little more."""
-    car = ("--controller", "external", "--controller-command", NODE, "--knowledge", "nothing", "--margin-limit", 32)
+    car = (
+        "--controller",
+        "external",
+        "--controller-command",
+        NODE,
+        "--adversary-model",
+        "generic",
+        "--margin-limit",
+        32,
+    )
     graph = skd("assess", "--graph", *car, *COUNTS, "--record", "--out", tmp_path / "graph")
     assert graph.code == 0, graph.err
     ours = ("--multiplier", 1.0, *COUNTS, "--workers", 1, "-p", f"risk_runs:={RUNS}")
@@ -98,7 +107,7 @@ class Counted:
 
 def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Plan, small_lesson: Path) -> None:
     options = GraphOptions(controller_command=NODE, command_timeout=PATIENCE, startup_timeout=PATIENCE)
-    theirs = dataclasses.replace(plan, controller="external", knowledge=Knowledge.LEARNED)
+    theirs = dataclasses.replace(plan, controller="external", adversary_model=AdversaryModel.LEARNED)
     said: list[str] = []
     with whole_graph(tmp_path, options) as (node, _):
         graph = Counted(node)
@@ -118,10 +127,10 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Pla
     assert said[0].startswith("learned the car from 60 probes and 6 trials of kamikazes in ")
     assert said[1] == said[2]
     assert said[1].startswith("the car was learned before, on 20")
-    assert said[1].endswith(f" files, kept in {kept}; --knowledge nothing does without")
-    assert said[0].endswith(f"kept in {kept}; --knowledge nothing does without")
+    assert said[1].endswith(f" files, kept in {kept}; --adversary-model generic does without")
+    assert said[0].endswith(f"kept in {kept}; --adversary-model generic does without")
 
-    ours = dataclasses.replace(plan, controller=f"{__name__}:Law", knowledge=Knowledge.LEARNED)
+    ours = dataclasses.replace(plan, controller=f"{__name__}:Law", adversary_model=AdversaryModel.LEARNED)
     in_process = Counted(InProcessRunner(1))
     known = learning.learn(ours, in_process)
     taught = [one for one in in_process.logs if one.episode.mode != Mode.SAFE]

@@ -71,7 +71,7 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: EpisodeSpec
             number = replay.episode_id + len(logs)
             logs.append(
                 node.run_episode(
-                    dataclasses.replace(replay, controller="external", knowledge="nothing", episode_id=number)
+                    dataclasses.replace(replay, controller="external", adversary_model="generic", episode_id=number)
                 )
             )
             (bag,) = bags.glob(f"*_{number:016x}")

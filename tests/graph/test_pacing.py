@@ -55,7 +55,7 @@ def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: EpisodeSpec) 
     node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "clock"])
     options = GraphOptions(controller_command=node, quiet_time=10.0, startup_timeout=PATIENCE)
     external = dataclasses.replace(
-        replay, controller="external", knowledge="nothing", scenario=with_requested_period(replay.scenario, 0.1)
+        replay, controller="external", adversary_model="generic", scenario=with_requested_period(replay.scenario, 0.1)
     )
     wanted = [dataclasses.replace(external, episode_id=external.episode_id + number) for number in range(3)]
     with whole_graph(tmp_path, options) as (evaluator, _):

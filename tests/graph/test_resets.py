@@ -42,7 +42,7 @@ def test_a_managed_node_forgets(tmp_path: Path, replay: EpisodeSpec) -> None:
         reset="lifecycle,initialpose",
         lifecycle_nodes=NAME,
     )
-    theirs = dataclasses.replace(replay, controller="external", knowledge="nothing")
+    theirs = dataclasses.replace(replay, controller="external", adversary_model="generic")
     with whole_graph(tmp_path, options) as (evaluator, _):
         logs = [evaluator.run_episode(theirs) for _ in range(2)]
     assert logs[0].outcome != Outcome.ABORTED, logs[0].reason
@@ -204,7 +204,7 @@ def test_nothing_is_left_of_several_graphs(tmp_path: Path, safe: Path) -> None:
     code = "import os, pathlib, signal, sys; pathlib.Path(sys.argv[1], f'running{os.getpid()}').touch(); signal.pause()"
     program = Program(
         skd_command(
-            *("assess", "--graph", "-p", "graphs:=2", "--knowledge", "nothing", "--controller", "external"),
+            *("assess", "--graph", "-p", "graphs:=2", "--adversary-model", "generic", "--controller", "external"),
             *("--controller-command", shlex.join([sys.executable, "-c", code, str(tmp_path)])),
             *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
         )

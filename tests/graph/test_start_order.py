@@ -162,7 +162,17 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
     folder = tmp_path_factory.mktemp("misbehaviour")
     programs = {
         controller: Skd(
-            *("assess", "--graph", "--record", "--knowledge", "nothing", "--margin-limit", 0, "--behaviour", "none"),
+            *(
+                "assess",
+                "--graph",
+                "--record",
+                "--adversary-model",
+                "generic",
+                "--margin-limit",
+                0,
+                "--behaviour",
+                "none",
+            ),
             *("--controller", f"misbehaving:{controller}", "-p", f"startup_timeout:={PATIENCE}"),
             *("-p", f"command_timeout:={2 if controller == 'Silent' else PATIENCE}"),
             *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
@@ -223,7 +233,7 @@ def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
     deaf.write_text("trap '' HUP INT TERM\nwhile :; do sleep 1; done\n")
     program = Program(
         skd_command(
-            *("assess", "--graph", "--record", "--knowledge", "nothing", "--controller", "external"),
+            *("assess", "--graph", "--record", "--adversary-model", "generic", "--controller", "external"),
             *("--controller-command", f"sh -c '{node} & sh {deaf} & wait'"),
             *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
         ),

@@ -47,7 +47,7 @@ def test_marked_commands(checkout, monkeypatch, capsys):
     """The first one in this process; none learns the car, and the one in real time has a margin, too."""
     first, *lines = [line for block in marked("run") for line in block]
     assert len(lines) == 2
-    small = ("--knowledge", "nothing", "--behaviour", "none", "--objective", "deviation")
+    small = ("--adversary-model", "generic", "--behaviour", "none", "--objective", "deviation")
     program, *words = shlex.split(first)
     assert program == "scripts/skd"
     monkeypatch.chdir(checkout)

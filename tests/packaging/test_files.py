@@ -143,7 +143,7 @@ def test_words_of_a_controller_command_survive(tmp_path):
     said = tmp_path / "said"
     script.write_text(f'#!/bin/sh\nprintf "%s|" "$@" >"{said}"\nexit 2\n')
     script.chmod(0o755)
-    few = ["--safe-count=1", "--kamikaze-count=1", "--collision-runs=1", "--simulations=1", "--knowledge=nothing"]
+    few = ["--safe-count=1", "--kamikaze-count=1", "--collision-runs=1", "--simulations=1", "--adversary-model=generic"]
     done = run_script("assess-controller", *few, "--", str(script), "a b", "it's", cwd=tmp_path)
     assert done.returncode == 1
     assert said.read_text() == "a b|it's|"

@@ -140,7 +140,7 @@ def test_a_node_of_others_runs_in_a_container_of_its_own(image, straight, tmp_pa
             ending.callback(signal_group, process, signal.SIGKILL)
         given = {**settings(straight, tmp_path / "out"), "task": "episode", "controller": "external"}
         words = [word for name, text in given.items() for word in ("-p", f"{name}:={text}")]
-        done = image.run(*command("evaluator", image), *words, "-p", "knowledge:=nothing", **domain)
+        done = image.run(*command("evaluator", image), *words, "-p", "adversary_model:=generic", **domain)
     assert done.returncode == 0, done.stdout
     (recorded,) = read_episodes([tmp_path / "out" / "bags"])
     assert recorded.log.outcome.name.lower() == json.loads((tmp_path / "out" / "episode.json").read_text())["outcome"]

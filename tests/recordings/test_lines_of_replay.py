@@ -10,7 +10,7 @@ from bag_forge import campaign_messages, write_mcap
 from common import run_skd
 from recordings_support import crossing, trials
 from skd_evaluator.assessment.plan import Plan
-from skd_sim.options.adversary import Knowledge
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import load_scenario
 
 
@@ -18,7 +18,7 @@ def test_a_search_that_found_no_hit_is_said(tmp_path: Path, capsys: pytest.Captu
     """Where a hit would begin at 30 m/s there is none: the margin stands at η_max, for nothing was found."""
     scenario = load_scenario("crossing")
     scenario = replace(scenario, collision=replace(scenario.collision, hit_speed=30.0))
-    plan = Plan(scenario, controller="carla", knowledge=Knowledge.NOTHING, simulations=1, seed=2)
+    plan = Plan(scenario, controller="carla", adversary_model=AdversaryModel.GENERIC, simulations=1, seed=2)
     logs = trials(plan, [crossing(0.75, 10, "brisk")], 1, 2)
     messages = [one for each in campaign_messages(logs) for one in each]
     write_mcap(tmp_path / "recorded.mcap", messages, checksums=False)

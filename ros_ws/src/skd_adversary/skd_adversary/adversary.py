@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, Protocol
 
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Knowledge
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
 from skd_sim.world.state import CarState, Trajectory
 
@@ -153,19 +153,19 @@ class ReplayAdversary:
 
 
 def predicted_car(episode: EpisodeSpec) -> CarPrediction:
-    """Return the model of the car with which an episode's adversary plans: by its knowledge, and the episode's mode.
+    """Return the model of the car with which an episode's adversary plans: by the episode's adversary model and mode.
 
     Raises:
         UsageError: the car is to have been learned, and the episode carries no model of it.
     """
-    basic = episode.car.is_known and episode.knowledge != Knowledge.NOTHING
+    basic = episode.car.is_known and episode.adversary_model != AdversaryModel.GENERIC
     known = known_basic_car(episode.car.multiplier) if basic else unknown_car()
     if episode.mode == Mode.SAFE and basic:  # C known, distance observed (paper, "Safe Trajectories")
         known = CarModel(episode.multiplier, episode.multiplier, observes_position=False)
     if episode.car_model:
         return LearnedCar(fitted_car(episode.car_model), known)
-    if episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.LEARNED:
-        raise UsageError("knowledge learned needs a car model, and the episode carries none")
+    if episode.mode == Mode.KAMIKAZE and episode.adversary_model == AdversaryModel.LEARNED:
+        raise UsageError("adversary model learned needs a car model, and the episode carries none")
     return known
 
 

@@ -72,6 +72,8 @@ def warm_up_episodes(
         ),
     ]
     if car_model:
-        fitted = [replace(episode, controller=controller, car_model=car_model, knowledge=None) for episode in episodes]
+        fitted = [
+            replace(episode, controller=controller, car_model=car_model, adversary_model=None) for episode in episodes
+        ]
         return [episodes[0], *fitted]
     return episodes

@@ -72,8 +72,8 @@ def assess(
         progress: called with what is being done, how much of it is done, and out of how much; by default nothing is
             called.
         options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,
-            `safe`, `safe_count`, `kamikaze_count`, `collision_runs`, `knowledge`, `seed`, `margin_limit`, `curve`,
-            `behaviour`, …
+            `safe`, `safe_count`, `kamikaze_count`, `collision_runs`, `adversary_model`, `seed`, `margin_limit`,
+            `curve`, `behaviour`, …
 
     Returns:
         The assessment; `as_dict()` has the figures of assessment.json under their names. Why these may be those of

@@ -15,7 +15,7 @@ from skd_adversary.safe_trajectories.citr import is_citr
 from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import real_path
-from skd_sim.options.adversary import Knowledge, check_knowledge, default_knowledge, objectives_named
+from skd_sim.options.adversary import AdversaryModel, check_adversary_model, default_adversary_model, objectives_named
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import options_of, values_of
 from skd_sim.scenario.scenario import Scenario, changed_scenario, check_control_period, load_scenario
@@ -116,10 +116,12 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     car, model = CarUnderTest(controller, plain["multiplier"]), bool(plain["car_model"])
     if car.is_external and not plain.get("name"):
         plain["name"] = name_of_command(plain.get("controller_command") or "")
-    requested = plain.get("knowledge")
-    known = Knowledge(requested) if requested else Knowledge.LEARNED if model else default_knowledge(car)
-    check_knowledge(known, car, model=model)
-    plain["knowledge"] = str(known)
+    requested = plain.get("adversary_model")
+    known = (
+        AdversaryModel(requested) if requested else AdversaryModel.LEARNED if model else default_adversary_model(car)
+    )
+    check_adversary_model(known, car, model=model)
+    plain["adversary_model"] = str(known)
     if model:
         source = Path(plain["car_model"]).expanduser()
         plain["car_model"] = car_model_for_scenario(source, scenario)

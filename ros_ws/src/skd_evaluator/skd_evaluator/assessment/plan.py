@@ -23,7 +23,7 @@ from skd_adversary.crossing.road_users import check_kind
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import check_knowledge
+from skd_sim.options.adversary import check_adversary_model
 from skd_sim.options.car_under_test import DEFAULT, CarUnderTest, is_own_world
 from skd_sim.options.options import shared_options
 from skd_sim.scenario.road import beside_road
@@ -99,7 +99,7 @@ class Plan(CampaignOptions):
 
     def __post_init__(self) -> None:
         # The car's own clock belongs to the description: who reads a file or a bag knows it, and so does the simulator.
-        check_knowledge(self.knows, self.car, model=bool(self.car_model))
+        check_adversary_model(self.resolved_adversary_model, self.car, model=bool(self.car_model))
         check_kind(self.scenario)
         if self.safe == WALKERS and self.scenario.adversary.kind != load_behaviour(WALKERS).kind:
             raise UsageError(

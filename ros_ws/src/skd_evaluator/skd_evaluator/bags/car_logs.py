@@ -10,7 +10,7 @@ import numpy as np
 from skd_adversary.car_models.observations import RecordedEpisode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json
-from skd_sim.options.adversary import Knowledge, Objective
+from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH, right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
@@ -107,7 +107,7 @@ class _Beside:
     controller: str
     multiplier: float
     seed: int
-    knowledge: Knowledge | None = None
+    adversary_model: AdversaryModel | None = None
     not_credible: tuple[str, ...] = ()
 
 
@@ -127,7 +127,7 @@ def _said_beside(path: Path) -> _Beside:
                     controller,
                     float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
                     int(content["seed"]),
-                    Knowledge(options["knowledge"]) if options.get("knowledge") else None,
+                    AdversaryModel(options["adversary_model"]) if options.get("adversary_model") else None,
                     tuple(not_credible(content.get("warnings") or ())),
                 )
             except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
@@ -186,5 +186,5 @@ def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], besid
         multiplier=beside.multiplier,
         safe_trajectory=trajectory,
         objective=Objective(objective) if objective else Objective.PAPER,
-        knowledge=beside.knowledge,
+        adversary_model=beside.adversary_model,
     )

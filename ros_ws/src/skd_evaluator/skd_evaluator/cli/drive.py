@@ -14,7 +14,7 @@ from typing import Any
 from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
-from skd_sim.options.adversary import Knowledge
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.options import REAL_TIME, options_of, values_of
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
@@ -35,7 +35,7 @@ from skd_evaluator.ros.session import graph_session, prepare_ros
 
 _NAP = 0.05  # s between two looks at the keys
 _LENIENT = 3600.0  # s that the simulator may be late: nothing is rated here
-_NOBODY_PLANS = {"objective": "paper", "car_model": "", "knowledge": str(Knowledge.NOTHING)}
+_NOBODY_PLANS = {"objective": "paper", "car_model": "", "adversary_model": str(AdversaryModel.GENERIC)}
 
 
 def run(arguments: argparse.Namespace) -> int:

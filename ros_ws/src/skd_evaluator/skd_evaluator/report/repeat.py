@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skd_sim.options.adversary import Knowledge, default_knowledge
+from skd_sim.options.adversary import AdversaryModel, default_adversary_model
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import Option, options_of
 from skd_sim.scenario.scenario import load_scenario
@@ -88,9 +88,9 @@ def _prefix(figures: Mapping[str, Any], words: list[str]) -> list[str]:
         "multiplier": figures["multiplier"],
         "car_model": CAR_MODEL_FILE if figures["car_model"] else "",
     }
-    known = Knowledge(figures["knowledge"])
-    if not figures["car_model"] and known != default_knowledge(CarUnderTest(str(figures["controller"]))):
-        values["knowledge"] = known
+    known = AdversaryModel(figures["adversary_model"])
+    if not figures["car_model"] and known != default_adversary_model(CarUnderTest(str(figures["controller"]))):
+        values["adversary_model"] = known
     for one in options_of(CampaignOptions):
         if "episode" in one.commands and one.name in values:
             words += _words(one, values[one.name])

@@ -95,7 +95,7 @@ def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
     ranking = _ranking(figures)
     phis = counted(len(figures["per_safe_trajectory"]), "φ")
-    speed, knowledge, close = figures["impact_speed"], figures.get("knowledge"), figures["optimality_gap"]
+    speed, model, close = figures["impact_speed"], figures.get("adversary_model"), figures["optimality_gap"]
     told: dict[str, dict[str, Any]] = {
         "margin": {"basis": _margin_basis(figures)},
         "equivalent_multiplier": {
@@ -108,7 +108,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
         },
         "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else ""},
         "deviation": {
-            "basis": f"{f'knowledge: {knowledge}; ' if knowledge else ''}{counted(ranking['trials'], 'trial')} "
+            "basis": f"{f'adversary model: {model}; ' if model else ''}{counted(ranking['trials'], 'trial')} "
             f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
         },
         "optimality_gap": {

@@ -31,8 +31,8 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     lines += [_cell(headline(result)), ""]
     lines += ["| | value | 95 % by φ | 95 %, as independent |", "|---|---|---|---|"]
     for figure in shown_in("summary"):
-        known = _cell(str(result.get("knowledge") or "")) if figure.planned else ""
-        label = f"{figure.heading}, knowledge: {known}" if known else figure.heading
+        known = _cell(str(result.get("adversary_model") or "")) if figure.planned else ""
+        label = f"{figure.heading}, adversary model: {known}" if known else figure.heading
         value = ", ".join(filter(None, (BARE.value(figure, result), ninety(figure, result))))
         lines.append(f"| {label} | {value} | {BARE.by_phi(figure, result)} | {BARE.independent(figure, result)} |")
     lines += ["", "| condition | | found |", "|---|---|---|"]

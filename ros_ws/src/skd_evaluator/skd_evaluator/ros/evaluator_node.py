@@ -17,7 +17,7 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException
 from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
-from skd_sim.options.adversary import Knowledge, objectives_named
+from skd_sim.options.adversary import AdversaryModel, objectives_named
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import CommandOptions, options_of, values_of
 from skd_sim.ros.support import NodeParameter, declare, run_node, settings_of
@@ -94,7 +94,7 @@ class EvaluatorProcess(Evaluator):
         values = self._settings
         scenario = scenario_for(values["scenario"], values["safe"])
         self._objectives = objectives_named(values["objective"])
-        self._plan = plan_of(self._knowledge_of_one() if values["task"] == "episode" else values, scenario)
+        self._plan = plan_of(self._adversary_model_of_one() if values["task"] == "episode" else values, scenario)
         car = self._plan.car
         if not car.is_external:
             clocked = check_controller(car, scenario)
@@ -105,7 +105,7 @@ class EvaluatorProcess(Evaluator):
         refuse_to_replace(folder, inputs_of(values))
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
 
-    def _knowledge_of_one(self) -> dict[str, Any]:
+    def _adversary_model_of_one(self) -> dict[str, Any]:
         """Return the settings of a single episode, before which no car is learned.
 
         Raises:
@@ -114,9 +114,9 @@ class EvaluatorProcess(Evaluator):
         car = CarUnderTest(self._settings["controller"], self._settings["multiplier"])
         if self._settings["car_model"] or car.is_known:
             return self._settings
-        if self._settings["knowledge"] == Knowledge.LEARNED:
-            raise UsageError("task episode learns no car: name a model with car_model, or leave knowledge out")
-        return {**self._settings, "knowledge": str(Knowledge.NOTHING)}
+        if self._settings["adversary_model"] == AdversaryModel.LEARNED:
+            raise UsageError("task episode learns no car: name a model with car_model, or leave out adversary_model")
+        return {**self._settings, "adversary_model": str(AdversaryModel.GENERIC)}
 
     def work(self) -> int:
         """Do what the parameters ask for and return the exit code."""

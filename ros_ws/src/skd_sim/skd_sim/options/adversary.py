@@ -11,50 +11,53 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.registry import Registry
 
 
-class Knowledge(StrEnum):
+class AdversaryModel(StrEnum):
     """What a kamikaze knows of the car."""
 
-    NOTHING = "nothing"  # the car is taken for a basic one, with any C
+    GENERIC = "generic"  # the car is taken for a basic one, with any C
     LEARNED = "learned"  # a model that was fitted to logs of the car
-    KNOWN = "known"  # the law by which the car brakes, and C
+    EXACT = "exact"  # the law by which the car brakes, and C
 
 
-def implied_knowledge(car: CarUnderTest, car_model: str) -> Knowledge:
-    """Return the knowledge of an episode that states none: learned with a car model, known where C is, else nothing.
+def implied_adversary_model(car: CarUnderTest, car_model: str) -> AdversaryModel:
+    """Return the adversary model of an episode that states none.
+
+    Learned with a car model, exact where C is known, else generic.
 
     Args:
         car: the car under test.
         car_model: text of the model that the episode carries; empty: none.
     """
     if car_model:
-        return Knowledge.LEARNED
-    return Knowledge.KNOWN if car.is_known else Knowledge.NOTHING
+        return AdversaryModel.LEARNED
+    return AdversaryModel.EXACT if car.is_known else AdversaryModel.GENERIC
 
 
-def default_knowledge(car: CarUnderTest) -> Knowledge:
-    """Return the knowledge of an assessment by default: known where C is, else learned."""
-    return Knowledge.KNOWN if car.is_known else Knowledge.LEARNED
+def default_adversary_model(car: CarUnderTest) -> AdversaryModel:
+    """Return the adversary model of an assessment by default: exact where C is known, else learned."""
+    return AdversaryModel.EXACT if car.is_known else AdversaryModel.LEARNED
 
 
-def check_knowledge(knowledge: Knowledge, car: CarUnderTest, *, model: bool) -> None:
-    """Refuse knowledge that this car does not allow.
+def check_adversary_model(adversary_model: AdversaryModel, car: CarUnderTest, *, model: bool) -> None:
+    """Refuse an adversary model that this car does not allow.
 
     Args:
-        knowledge: what the adversary knows of the car.
+        adversary_model: what the adversary knows of the car.
         car: the car under test.
         model: whether a car model is given.
 
     Raises:
         UsageError: C of a car that has none, or a car model that would not be used.
     """
-    if model and knowledge != Knowledge.LEARNED:
+    if model and adversary_model != AdversaryModel.LEARNED:
         raise UsageError(
-            f"a car model goes with knowledge {Knowledge.LEARNED}: leave out the model, or knowledge {knowledge}"
+            f"a car model goes with adversary model {AdversaryModel.LEARNED}: leave out the car model, "
+            f"or {adversary_model}"
         )
-    if knowledge == Knowledge.KNOWN and not car.is_known:
+    if adversary_model == AdversaryModel.EXACT and not car.is_known:
         raise UsageError(
-            f"knowledge {Knowledge.KNOWN}: how car {car.controller} decides is not known to the adversary; "
-            f"{Knowledge.LEARNED} finds out, {Knowledge.NOTHING} does without"
+            f"adversary model {AdversaryModel.EXACT}: how car {car.controller} decides is not known to the adversary; "
+            f"{AdversaryModel.LEARNED} finds out, {AdversaryModel.GENERIC} does without"
         )
 
 

@@ -16,7 +16,14 @@ from typing import Any, Final, NamedTuple, cast
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import parse_json
-from skd_sim.options.adversary import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Knowledge, Objective, implied_knowledge
+from skd_sim.options.adversary import (
+    BOTH,
+    DEFAULT_SIMULATIONS,
+    OBJECTIVES,
+    AdversaryModel,
+    Objective,
+    implied_adversary_model,
+)
 from skd_sim.options.car_under_test import DEFAULT, SIMULATORS, WORLD, CarUnderTest, ControllerName
 from skd_sim.options.registry import Registry
 
@@ -212,16 +219,16 @@ class EpisodeOptions:
         group="car and test",
         unset="none",
     )
-    knowledge: Knowledge | None = option(
+    adversary_model: AdversaryModel | None = option(
         None,
-        "what the adversary knows: nothing (it expects a basic car), learned (from test "
-        "drives or --car-model), known (C)",
-        Knowledge,
-        choices=Names(tuple(map(str, Knowledge))),
-        metavar="{" + ",".join(Knowledge) + "}",
+        "what the adversary knows of the car: generic (it expects a basic one), learned (from test drives or "
+        "--car-model), exact (C)",
+        AdversaryModel,
+        choices=Names(tuple(map(str, AdversaryModel))),
+        metavar="{" + ",".join(AdversaryModel) + "}",
         group="car and test",
         commands=("assess", "episode"),
-        unset="known if basic, else learned",
+        unset="exact if basic, else learned",
         planning=True,
     )
     simulations: int = option(
@@ -270,9 +277,9 @@ class EpisodeOptions:
         return CarUnderTest(self.controller, self.multiplier, self.name)
 
     @property
-    def knows(self) -> Knowledge:
-        """What the adversary plans with: `knowledge`, or what is implied where that says nothing."""
-        return self.knowledge or implied_knowledge(self.car, self.car_model)
+    def resolved_adversary_model(self) -> AdversaryModel:
+        """What the adversary plans with: `adversary_model`, or what is implied where that is None."""
+        return self.adversary_model or implied_adversary_model(self.car, self.car_model)
 
 
 def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
@@ -330,8 +337,8 @@ def shared_options(source: EpisodeOptions) -> dict[str, Any]:
 def further_options(source: EpisodeOptions) -> dict[str, Any]:
     """Return, as plain data, the options that messages and results have no field for and that are not as by default."""
     known = {one.name: (one, getattr(source, one.name)) for one in options_of(EpisodeOptions) if one.name not in FIELDS}
-    if source.knowledge == implied_knowledge(source.car, source.car_model):
-        del known["knowledge"]
+    if source.adversary_model == implied_adversary_model(source.car, source.car_model):
+        del known["adversary_model"]
     return {name: one.plain(value) for name, (one, value) in known.items() if value != one.default}
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import check_knowledge
+from skd_sim.options.adversary import check_adversary_model
 from skd_sim.options.options import EpisodeOptions
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import AdversaryState, Trajectory
@@ -109,8 +109,10 @@ class EpisodeSpec(EpisodeOptions):
             raise ValueError("seed and episode_id must not be negative")
         if self.maximum_distance is not None and not 0.0 < self.maximum_distance < math.inf:
             raise UsageError(f"maximum_distance must be a positive finite number (m), got {self.maximum_distance:g}")
-        object.__setattr__(self, "knowledge", self.knows)  # an episode says what it was planned with
-        check_knowledge(self.knows, self.car, model=bool(self.car_model))
+        object.__setattr__(
+            self, "adversary_model", self.resolved_adversary_model
+        )  # an episode says what it was planned with
+        check_adversary_model(self.resolved_adversary_model, self.car, model=bool(self.car_model))
 
     @property
     def public_scenario(self) -> Scenario:

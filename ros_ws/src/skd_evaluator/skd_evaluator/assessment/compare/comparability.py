@@ -19,7 +19,9 @@ PLANNED = keys_of(Of.RANKING, Of.SKD)
 OF_SKD = keys_of(Of.SKD)
 """Those of them that are of the kamikazes that SKD is of."""
 
-_PLANNING = tuple(one for one in options_of(EpisodeOptions) if one.planning and one.name not in {*FIELDS, "knowledge"})
+_PLANNING = tuple(
+    one for one in options_of(EpisodeOptions) if one.planning and one.name not in {*FIELDS, "adversary_model"}
+)
 
 
 def hit_speed(figures: Mapping[str, Any]) -> float:
@@ -35,7 +37,7 @@ def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
     """
     known = [
         {
-            "knowledge of the car": str(one["knowledge"]),
+            "adversary model": str(one["adversary_model"]),
             "objective": first_of(RANKING_OBJECTIVES, one["objectives"]),
             "η_max (m)": f"{one['eta_max']:g}",
             "hit speed (m/s)": f"{hit_speed(one):g}",
@@ -60,7 +62,7 @@ def unlike_rows(rows: Iterable[Mapping[str, Any]]) -> str:
     """
     known = [
         {
-            "knowledge of the car": str(row["knowledge"]),
+            "adversary model": str(row["adversary_model"]),
             "objective": str(row["ranking_objective"]),
             "η_max (m)": f"{row['eta_max']:g}",
             **_planning(row["options"]),

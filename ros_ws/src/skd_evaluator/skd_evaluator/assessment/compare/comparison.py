@@ -3,8 +3,8 @@
 Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
 so or tie, and one of them says so; and if the estimate of neither the margin nor R(2), the risk that ranks, points the
 other way: what is no longer a tie need not be told apart to raise a doubt. Figures of planned kamikazes depend on car
-and adversary: they are compared only if the kamikazes had the same knowledge and the same objective. Then they may
-object: if planned deviations surely say the opposite of the margins, the cars are not told apart.
+and adversary: they are compared only if adversary model and objective were the same. Then they may object: if planned
+deviations surely say the opposite of the margins, the cars are not told apart.
 
 A margin whose search has not converged is an upper bound: a car of which no more is known is never the safer one. What
 a search may have missed is part of the interval of the difference.
@@ -310,7 +310,7 @@ def _of_the_judge(held: Comparison) -> list[str]:
     unknown = [(one.folder, one.figures["margin_note"]) for one in both if MARGIN not in one.groups]
     without = [f"{folder} ({note})" if note else str(folder) for folder, note in unknown]
     judged = (
-        "judged by planned deviations, which are of car and adversary, with like knowledge"
+        "judged by planned deviations, which are of car and adversary, with the same adversary model"
         if held.differences.get(DEVIATION) is not None
         else "not judged"
     )

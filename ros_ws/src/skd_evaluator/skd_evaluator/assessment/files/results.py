@@ -295,7 +295,7 @@ def episode_summary(log: EpisodeLog) -> dict[str, Any]:
         "mode": spec.mode.name.lower(),
         "controller": spec.controller,
         "multiplier": spec.car.stated_multiplier,
-        "knowledge": str(spec.knows),
+        "adversary_model": str(spec.resolved_adversary_model),
         "seed": spec.seed,
         "episode_id": spec.episode_id,
         "ticks": len(log.adversary) - 1,

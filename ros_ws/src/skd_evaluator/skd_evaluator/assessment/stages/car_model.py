@@ -34,7 +34,7 @@ from skd_adversary.car_models.observations import RecordedEpisode, observe
 from skd_adversary.car_models.prediction import learn_car
 from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge, Objective
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
@@ -67,7 +67,7 @@ _LEARNING = threading.Lock()  # cells of a campaign that rate the same car learn
 
 def needs_learning(plan: Plan) -> bool:
     """Return whether the car of a plan is to be learned first."""
-    return plan.knows == Knowledge.LEARNED and not plan.car_model
+    return plan.resolved_adversary_model == AdversaryModel.LEARNED and not plan.car_model
 
 
 def run(context: Context, assessment: Assessment) -> Assessment:
@@ -120,7 +120,7 @@ def learned(
             line = f"learned the car from {PROBES} probes and {TRIALS} trials of kamikazes in {seconds:.0f} s" + (
                 f", kept in {folder}" if kept else ", not kept: its files are not known" if folder is None else ""
             )
-    say(f"{line}; --knowledge nothing does without")
+    say(f"{line}; --adversary-model generic does without")
     return replace(plan, car_model=text)
 
 
@@ -162,7 +162,7 @@ def _starts(scenario: Scenario, runner: Runner) -> list[Trajectory]:
         return safe_trajectories(Plan(scenario, seed=SEED, safe_count=SAFE), runner)
     except UsageError as error:
         raise AssessmentError(
-            f"the car cannot be learned: {error}; give --knowledge nothing, or --car-model"
+            f"the car cannot be learned: {error}; give --adversary-model generic, or --car-model"
         ) from error
 
 

@@ -89,7 +89,7 @@ def _safe_episode(plan: Plan, number: int) -> EpisodeSpec:
             controller=plan.controller,
             multiplier=plan.multiplier,
             car_model=plan.car_model,
-            knowledge=plan.knowledge,
+            adversary_model=plan.adversary_model,
             simulator=plan.simulator,
         )
     return reference

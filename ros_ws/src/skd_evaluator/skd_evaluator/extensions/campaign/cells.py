@@ -194,7 +194,7 @@ def _identity(
 
 
 FIGURES = columns("campaign")
-OF_PLANS = ("knowledge", "ranking_objective")
+OF_PLANS = ("adversary_model", "ranking_objective")
 """Of a row: by whom its planned figures are."""
 FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
 CHECKED = (ASSESSMENT, EPISODES)
@@ -238,7 +238,7 @@ def done_row(cell: Cell, assessment: Assessment, *, maximum_aborted: float, dige
         **open_row(cell),
         "state": DONE,
         **{name: figures[name] for name in FIGURES},
-        "knowledge": str(figures["knowledge"]),
+        "adversary_model": str(figures["adversary_model"]),
         "ranking_objective": str(assessment.for_deviation.plan.objective),
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
         "episodes": assessment.episodes,

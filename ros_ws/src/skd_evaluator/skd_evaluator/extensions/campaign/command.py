@@ -209,7 +209,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             bounded_cell(row, number(row["equivalent_multiplier"])),
             percent(row["nominal_collision_rate"]),
             number(row["deviation"]),
-            str(row["knowledge"]),
+            str(row["adversary_model"]),
             number(row["skd"]),
         ]
         if row["sha256"]

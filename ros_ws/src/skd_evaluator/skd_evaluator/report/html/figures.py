@@ -52,8 +52,8 @@ def sentences_of(subject: Subject) -> list[str]:
     first = headline(figures, named=False)  # it stands above
     if figures["deviation"] is None:
         return [first, "No planned kamikaze ran to its end."]
-    knowledge = figures.get("knowledge")
-    known = f" (knowledge of the car: {knowledge})" if knowledge else ""
+    adversary_model = figures.get("adversary_model")
+    known = f" (adversary model: {adversary_model})" if adversary_model else ""
     hit = ranking["trials"] - ranking["failed"]
     planned = (
         f"Planned kamikazes{known} needed {number(figures['deviation'], 2, 'm')} on average; {hit} of "
@@ -103,14 +103,14 @@ def warnings_of(subject: Subject) -> list[str]:
 def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
     """Return who is safer than whom, for each set of φ; where φ differ metres do not compare.
 
-    It is by the margin. Where nobody has one it is by the planned deviation, of one knowledge and one objective
-    alone: what was planned with unlike knowledge says who knew more.
+    It is by the margin. Where nobody has one it is by the planned deviation, of one adversary model and one objective
+    alone: what was planned with unlike adversary models says who knew more.
     """
     key = "margin" if any(one.figures["margin"] is not None for one in subjects) else "deviation"
     groups: dict[tuple[object, ...], list[Subject]] = {}
     for one in subjects:
         if one.figures[key] is not None:
-            of = () if key == "margin" else (one.figures.get("knowledge"), one.ranking_objective)
+            of = () if key == "margin" else (one.figures.get("adversary_model"), one.ranking_objective)
             groups.setdefault((one.safe_key, one.figures["eta_max"], *of), []).append(one)
     found = [_ranking(members, key) for members in groups.values() if len(members) > 1]
     for one in subjects if len(subjects) > 1 else ():  # of a single one that stands in the sentence about it
@@ -239,12 +239,12 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
         ("safe trajectories", f"{figures['safe']} ({len(figures['per_safe_trajectory'])})"),
         ("scenario", scenario_name(figures) or f"{figures['scenario']['name']} (of its own: see the file below)"),
         ("seed", str(figures["seed"])),
-        ("the adversary's knowledge of the car", str(figures.get("knowledge") or NOTHING)),
+        ("adversary model", str(figures.get("adversary_model") or NOTHING)),
         ("planner's budget", f"{figures['simulations']:,} simulations per decision"),
         ("objectives", ", ".join(figures["objectives"])),
         ("maximum distance", number(figures["maximum_distance"], 2, "m")),
         ("further options", ", ".join(f"{key} = {value}" for key, value in figures["options"].items()) or NOTHING),
-        ("knowledge of the car", str(figures["knowledge"])),
+        ("adversary model", str(figures["adversary_model"])),
         ("model of the car", "fitted: see the file below" if figures["car_model"] else "none, or the known C"),
     ]
     rows += _origin_rows(figures.get("provenance"))

@@ -20,7 +20,7 @@ from skd_evaluator.assessment.stages import car_model as learning
 from skd_evaluator.assessment.stages.car_model import kept_models, learned, model_folder, needs_learning
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Knowledge
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.options import EpisodeOptions, options_from_text, options_of, options_to_text
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -50,28 +50,28 @@ def values(**said: object) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(
-    ("said", "knowledge"),
+    ("said", "adversary_model"),
     [
-        ({}, "known"),
+        ({}, "exact"),
         ({"controller": "cal"}, "learned"),
         ({"controller": "external"}, "learned"),
-        ({"controller": OWN, "knowledge": "nothing"}, "nothing"),
-        ({"knowledge": "nothing"}, "nothing"),
-        ({"knowledge": "learned"}, "learned"),
+        ({"controller": OWN, "adversary_model": "generic"}, "generic"),
+        ({"adversary_model": "generic"}, "generic"),
+        ({"adversary_model": "learned"}, "learned"),
     ],
 )
-def test_what_is_asked_for(said: dict[str, object], knowledge: str) -> None:
+def test_what_is_asked_for(said: dict[str, object], adversary_model: str) -> None:
     plan = plan_of(values(**said), CROSSING)
-    assert plan.knowledge == plan.knows == Knowledge(knowledge)
-    assert plan.episode(Mode.REPLAY, 0, 0, PHI).knowledge == Knowledge(knowledge)
-    assert needs_learning(plan) == (knowledge == "learned")
+    assert plan.adversary_model == plan.resolved_adversary_model == AdversaryModel(adversary_model)
+    assert plan.episode(Mode.REPLAY, 0, 0, PHI).adversary_model == AdversaryModel(adversary_model)
+    assert needs_learning(plan) == (adversary_model == "learned")
 
 
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ({"controller": "cal", "knowledge": "known"}, "how car cal decides is not known"),
-        ({"car_model": "m.yaml", "knowledge": "nothing"}, "leave out the model, or knowledge nothing"),
+        ({"controller": "cal", "adversary_model": "exact"}, "how car cal decides is not known"),
+        ({"car_model": "m.yaml", "adversary_model": "generic"}, "leave out the car model, or generic"),
     ],
 )
 def test_what_does_not_go_together(said: dict[str, object], words: str) -> None:
@@ -83,37 +83,39 @@ def test_what_does_not_go_together(said: dict[str, object], words: str) -> None:
 @pytest.mark.parametrize(
     ("controller", "car_model", "said", "implied"),
     [
-        ("basic", "", None, "known"),
+        ("basic", "", None, "exact"),
         ("basic", MODEL, None, "learned"),
-        ("carla", "", None, "nothing"),
+        ("carla", "", None, "generic"),
         ("carla", MODEL, "learned", "learned"),
-        ("basic", "", "nothing", "nothing"),
+        ("basic", "", "generic", "generic"),
     ],
 )
 def test_an_episode_says_what_it_was_planned_with(
     controller: str, car_model: str, said: str | None, implied: str
 ) -> None:
     """Episodes of before say nothing; and what follows from the rest is not said twice in messages."""
-    knowledge = None if said is None else Knowledge(said)
+    adversary_model = None if said is None else AdversaryModel(said)
     episode = EpisodeSpec(
-        CROSSING, Mode.KAMIKAZE, 0, 0, PHI, controller=controller, car_model=car_model, knowledge=knowledge
+        CROSSING, Mode.KAMIKAZE, 0, 0, PHI, controller=controller, car_model=car_model, adversary_model=adversary_model
     )
-    assert episode.knowledge == Knowledge(implied)
+    assert episode.adversary_model == AdversaryModel(implied)
     told = options_from_text(options_to_text(episode), "here")
-    assert told == ({"knowledge": Knowledge.NOTHING} if (controller, implied) == ("basic", "nothing") else {})
-    again = replace(episode, knowledge=told.get("knowledge"))
-    assert again.knowledge == episode.knowledge
+    assert told == (
+        {"adversary_model": AdversaryModel.GENERIC} if (controller, implied) == ("basic", "generic") else {}
+    )
+    again = replace(episode, adversary_model=told.get("adversary_model"))
+    assert again.adversary_model == episode.adversary_model
 
 
 def test_who_plans_with_what() -> None:
     basic = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, 0, PHI)
     assert predicted_car(basic) == known_basic_car(1.0)
-    assert predicted_car(replace(basic, knowledge=Knowledge.NOTHING)) == unknown_car()
+    assert predicted_car(replace(basic, adversary_model=AdversaryModel.GENERIC)) == unknown_car()
     for model, kernels in zip(any_car_models(), ("fitted", "forest"), strict=True):
-        learned_of = replace(basic, knowledge=Knowledge.LEARNED, car_model=model)
+        learned_of = replace(basic, adversary_model=AdversaryModel.LEARNED, car_model=model)
         assert predicted_car(learned_of).kernels.name == kernels
     with pytest.raises(UsageError, match="the episode carries none"):
-        make_adversary(replace(basic, knowledge=Knowledge.LEARNED))
+        make_adversary(replace(basic, adversary_model=AdversaryModel.LEARNED))
 
 
 @pytest.fixture
@@ -126,7 +128,7 @@ def small_lessons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lessons: None) -> None:
-    plan = Plan(CROSSING, controller=OWN, knowledge=Knowledge.LEARNED, seed=5)
+    plan = Plan(CROSSING, controller=OWN, adversary_model=AdversaryModel.LEARNED, seed=5)
     said: list[str] = []
     with InProcessRunner(1, isolated=True) as runner:
         runner.start()
@@ -137,7 +139,7 @@ def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lesso
         assert folder is not None
         assert folder.parent == kept_models()
         assert (folder / "car_model.yaml").is_file()
-        assert "--knowledge nothing" in said[0]
+        assert "--adversary-model generic" in said[0]
         assert str(folder) in said[0]
         other_seed = learned(replace(plan, seed=6, simulations=10), _Nobody(), say=said.append)
         assert other_seed.car_model == first.car_model
@@ -163,7 +165,7 @@ class _Aborts:
 
 
 def test_a_car_that_cannot_be_run_cannot_be_learned(small_lessons: None) -> None:
-    plan = Plan(CROSSING, controller=OWN, knowledge=Knowledge.LEARNED)
+    plan = Plan(CROSSING, controller=OWN, adversary_model=AdversaryModel.LEARNED)
     with pytest.raises(AssessmentError, match=r"all 24 probes were aborted \(no licence\)"):
         learned(plan, _Aborts())
 
@@ -172,7 +174,7 @@ def test_another_car_is_kept_elsewhere(tmp_path: Path, monkeypatch: pytest.Monke
     """What the model follows from: files of the controller, its command, scenario, graph; not seed, budget or φ."""
     (tmp_path / "car_of_mine.py").write_text("class Car: pass\n", encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    plan = Plan(CROSSING, controller="car_of_mine:Car", knowledge=Knowledge.LEARNED)
+    plan = Plan(CROSSING, controller="car_of_mine:Car", adversary_model=AdversaryModel.LEARNED)
     here = model_folder(plan, None)
     assert here == model_folder(replace(plan, seed=3, simulations=7, kamikaze_count=2), None)
     slower = replace(CROSSING, car=replace(CROSSING.car, start_speed=7.0))
