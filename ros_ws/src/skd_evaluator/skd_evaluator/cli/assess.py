@@ -8,7 +8,8 @@ import sys
 import threading
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import counts_in_words
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context, Runner
+from skd_evaluator.assessment.context import Context, Progress, Runner
 from skd_evaluator.assessment.files.episode_store import EpisodeStore, StoringRunner, digest_of, remove_files
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import write_assessment
@@ -239,7 +240,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     kept = _KeptEpisodes(arguments, assessment, out.path)
     done = True
     try:
-        assessment, problem = _assess(arguments, assessment, request, out, begin, kept)
+        work = _Work(arguments, request, out, begin, kept)
+        assessment, problem = (work.through_graph if arguments.graph else work.in_process)(assessment)
         done = problem is None
     except KeyboardInterrupt:
         done = False
@@ -252,25 +254,63 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     return print_result(assessment, out, arguments, gate, problem)
 
 
-def _assess(
-    arguments: argparse.Namespace,
-    assessment: Assessment,
-    request: dict[str, Any],
-    out: ResultFolder,
-    begin: float,
-    kept: _KeptEpisodes,
-) -> tuple[Assessment, str | None]:
-    """Return the assessment, and why it could not be written, if so."""
-    if arguments.graph:
-        return _assess_graph(arguments, assessment, request, out, begin, kept)
-    isolated = assessment.plan.runs_others_code
-    workers = runner_of(arguments, isolated=isolated, answer_limit=arguments.startup_timeout)
-    fresh = partial(fresh_process, arguments.startup_timeout)
-    with progress_bar(quiet=arguments.quiet, steps=_steps(assessment.plan, request)) as progress:
-        context = Context(kept.runner(workers), workers, progress=progress, fresh=fresh, **request)
-        assessment = assess_in_process(context, assessment)
-    assessment = replace(assessment, seconds=time.perf_counter() - begin)
-    return assessment, out.save(lambda folder: _write(folder, assessment, arguments, may_fork=True))
+@dataclass(frozen=True)
+class _Work:
+    """An assessment that a command runs and writes; both ways return it, and why it could not be written, if so.
+
+    Attributes:
+        arguments: of the command.
+        request: what they request of the stages, as arguments of `Context`.
+        out: where the results go.
+        begin: when the command began, s on the clock of `time.perf_counter`.
+        kept: the episodes of an interrupted command.
+    """
+
+    arguments: argparse.Namespace
+    request: Mapping[str, Any]
+    out: ResultFolder
+    begin: float
+    kept: _KeptEpisodes
+
+    def in_process(self, assessment: Assessment) -> tuple[Assessment, str | None]:
+        """Run the episodes in processes of this machine or of a cluster."""
+        limit = self.arguments.startup_timeout
+        workers = runner_of(self.arguments, isolated=assessment.plan.runs_others_code, answer_limit=limit)
+        with self._progress(assessment.plan) as progress:
+            fresh = partial(fresh_process, limit)
+            context = Context(self.kept.runner(workers), workers, progress=progress, fresh=fresh, **self.request)
+            assessment = self._timed(assess_in_process(context, assessment))
+        return assessment, self.out.save(lambda folder: self._write(folder, assessment, may_fork=True))
+
+    def through_graph(self, assessment: Assessment) -> tuple[Assessment, str | None]:
+        """Run the episodes through the node graph."""
+        compile_for_graph(assessment.plan, self.request["objectives"])
+        with self.out.scratch() as scratch:
+            setting = GraphSetting(
+                options=graph_options(self.arguments),
+                car=assessment.plan.car,
+                log_folder=scratch.logs,
+                simulator=assessment.plan.simulator,
+                record_to=scratch.folder / "bags" if self.arguments.record else None,
+            )
+            with self._progress(assessment.plan) as progress:
+                request = {**self.request, "progress": progress}
+                assessment = self._timed(assess_through_graph(assessment, setting, request, self.kept.runner))
+            problem = save_with_scratch(self.out, scratch.folder, lambda folder: self._write(folder, assessment))
+        return assessment, problem
+
+    def _progress(self, plan: Plan) -> AbstractContextManager[Progress]:
+        return progress_bar(quiet=self.arguments.quiet, steps=_steps(plan, self.request))
+
+    def _timed(self, assessment: Assessment) -> Assessment:
+        return replace(assessment, seconds=time.perf_counter() - self.begin)
+
+    def _write(self, folder: Path, assessment: Assessment, *, may_fork: bool = False) -> None:
+        """Write an assessment, with its pictures if they are requested."""
+        if self.arguments.pictures:
+            fill(folder, assessment, may_fork=may_fork)
+        else:
+            write_assessment(folder, assessment)
 
 
 def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
@@ -279,14 +319,6 @@ def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
     steps += ["safe trajectories"] if plan.safe in GENERATED else []
     steps += ["kamikazes", "nominal runs", *(["margin"] if request["margin_limit"] else [])]
     return [*steps, *(["risk"] if request["risk"].behaviour is not None else [])]
-
-
-def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
-    """Write an assessment, with its pictures if they are requested."""
-    if arguments.pictures:
-        fill(folder, assessment, may_fork=may_fork)
-    else:
-        write_assessment(folder, assessment)
 
 
 def requested(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -304,27 +336,3 @@ def requested(arguments: argparse.Namespace) -> dict[str, Any]:
 def say(command: str, line: str) -> None:
     """Say something to the user that is no result."""
     print(f"skd {command}: {line}", file=sys.stderr, flush=True)
-
-
-def _assess_graph(
-    arguments: argparse.Namespace,
-    assessment: Assessment,
-    request: dict[str, Any],
-    out: ResultFolder,
-    begin: float,
-    kept: _KeptEpisodes,
-) -> tuple[Assessment, str | None]:
-    compile_for_graph(assessment.plan, request["objectives"])
-    with out.scratch() as scratch:
-        setting = GraphSetting(
-            options=graph_options(arguments),
-            car=assessment.plan.car,
-            log_folder=scratch.logs,
-            simulator=assessment.plan.simulator,
-            record_to=scratch.folder / "bags" if arguments.record else None,
-        )
-        with progress_bar(quiet=arguments.quiet, steps=_steps(assessment.plan, request)) as progress:
-            assessment = assess_through_graph(assessment, setting, {**request, "progress": progress}, kept.runner)
-        assessment = replace(assessment, seconds=time.perf_counter() - begin)
-        problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, assessment, arguments))
-    return assessment, problem

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -86,17 +86,8 @@ class Difference:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of comparison.json."""
-        return {
-            "difference": self.value,
-            "interval": self.interval,
-            "confidence": self.confidence,
-            "p_value": self.p_value,
-            "standard_error": self.standard_error,
-            "degrees_of_freedom": self.degrees_of_freedom,
-            "effect_size": self.effect_size,
-            "paired": self.paired,
-            "notes": list(self.notes),
-        }
+        found = asdict(self)
+        return {"difference": found.pop("value"), **found}
 
 
 def difference(first: Groups, second: Groups, *, paired: bool, confidence: float = 0.95) -> Difference | None:

@@ -4,10 +4,10 @@ Eiter and Mannila, "Computing discrete Fréchet distance", TR CD-TR 94/64, TU Vi
 at the two first points, end at the two last, and at each step move on by one point on either curve *or on both*, the
 smallest possible value of the longest link.
 
-The table c[i, j] = max(|p_i − q_j|², min(c[i−1, j], c[i, j−1], c[i−1, j−1])) is filled one anti-diagonal after the
-other: the cells of an anti-diagonal do not depend on one another, so the processor can work on several at once, which
-row order forbids. Three diagonals are kept, so memory is linear. Several curves q against one p go through the table
-side by side ("lanes", interleaved point by point), which keeps short curves efficient too.
+In the plane the table c[i, j] = max(|p_i − q_j|², min(c[i−1, j], c[i, j−1], c[i−1, j−1])) is filled one anti-diagonal
+after the other: the cells of an anti-diagonal do not depend on one another, so the processor can work on several at
+once, which row order forbids. Three diagonals are kept, so memory is linear. Several curves q against one p go through
+the table side by side ("lanes", interleaved point by point), which keeps short curves efficient too.
 
 Only cells that can matter are filled. The coupling that goes along both curves evenly gives a limit from above; values
 never fall along a coupling, so none that leads to an answer within the limit has a cell beyond it. The range of rows
@@ -66,7 +66,7 @@ def _squared_link(p: FloatArray, i: int, q: FloatArray, j: int) -> float:
 
 @kernel
 def _even_coupling(p: FloatArray, q: FloatArray) -> float:
-    """Return the squared longest link of the coupling that goes along both curves evenly."""
+    """Return the squared longest link of the coupling that goes along two curves in the plane evenly."""
     if p.shape[0] >= q.shape[0]:
         long, short = p, q
     else:
@@ -76,7 +76,7 @@ def _even_coupling(p: FloatArray, q: FloatArray) -> float:
     longest = 0.0
     j = 0
     part = 0
-    if steps == rise and p.shape[1] == 2:  # by far the most frequent
+    if steps == rise:  # by far the most frequent
         for i in range(steps + 1):
             dx = p[i, 0] - q[i, 0]
             dy = p[i, 1] - q[i, 1]
@@ -143,12 +143,12 @@ def _fence(cells: FloatArray, begin: int, count: int, lanes: int) -> None:
         cells[i] = np.inf
 
 
-# Two kernels with everything in one straight line each: with a branch between the slices and their use, numba counts
-# references to them on every diagonal, which took three times as long as the arithmetic at 40 points.
+# Everything in one straight line: with a branch between the slices and their use, numba counts references to them on
+# every diagonal, which took three times as long as the arithmetic at 40 points.
 
 
 @kernel
-def _diagonals_in_plane(
+def _diagonals(
     n: int,
     m: int,
     limits: FloatArray,
@@ -158,7 +158,7 @@ def _diagonals_in_plane(
     last: FloatArray,
     new: FloatArray,
 ) -> FloatArray:
-    """Go through the table of 2-D curves, laid out as `_sweep` says, and return its last diagonal."""
+    """Go through the table, laid out as `_sweep` says, and return its last diagonal."""
     lanes = limits.shape[0]
     wide = columns_p.shape[0] // 2
     long = columns_q.shape[0] // 2
@@ -192,57 +192,10 @@ def _diagonals_in_plane(
 
 
 @kernel
-def _diagonals(
-    n: int,
-    m: int,
-    limits: FloatArray,
-    dimension: int,
-    columns_p: FloatArray,
-    columns_q: FloatArray,
-    squared: FloatArray,
-    before: FloatArray,
-    last: FloatArray,
-    new: FloatArray,
-) -> FloatArray:
-    """Do what `_diagonals_in_plane` does in any dimension, with a pass per coordinate."""
-    lanes = limits.shape[0]
-    wide = columns_p.shape[0] // dimension
-    long = columns_q.shape[0] // dimension
-    low = 0
-    high = 1
-    for k in range(1, n + m - 1):
-        low, high = _next_band(n, m, k, limits, before, last, low, high)
-        if low >= high:
-            break
-        begin = low * lanes // _CHUNK * _CHUNK
-        count = (high * lanes - begin + _CHUNK - 1) // _CHUNK * _CHUNK
-        there = begin + (m - 1 - k) * lanes + _CHUNK
-        _fence(new, begin, count, lanes)
-        links = squared[:count]
-        links[:] = 0.0
-        for c in range(dimension):
-            pc = columns_p[c * wide + begin : c * wide + begin + count]
-            qc = columns_q[c * long + there : c * long + there + count]
-            for i in range(count):
-                delta = pc[i] - qc[i]
-                links[i] += delta * delta
-        diagonal = before[begin : begin + count]
-        above = last[begin : begin + count]
-        adjacent = last[begin + lanes : begin + lanes + count]
-        cell = new[begin + lanes : begin + lanes + count]
-        for i in range(count):
-            reach = above[i] if above[i] < adjacent[i] else adjacent[i]
-            reach = diagonal[i] if diagonal[i] < reach else reach
-            cell[i] = links[i] if links[i] > reach else reach
-        before, last, new = last, new, before
-    return last
-
-
-@kernel
-def _workspace(n: int, m: int, dimension: int, lanes: int) -> FloatArray:
+def _workspace(n: int, m: int, lanes: int) -> FloatArray:
     """Return memory for `_sweep` over curves of at most n and m points."""
     wide = n * lanes + _CHUNK
-    return np.empty(dimension * (wide + m * lanes + 2 * _CHUNK) + 3 * (wide + 2 * lanes + _CHUNK) + wide)
+    return np.empty(2 * (wide + m * lanes + 2 * _CHUNK) + 3 * (wide + 2 * lanes + _CHUNK))
 
 
 @kernel
@@ -258,15 +211,15 @@ def _sweep(
     """Write to out[chosen] the squared distances of p to the chosen curves, all in one sweep.
 
     Args:
-        p: n × d.
-        flat: the points of all curves, one after the other; N × d.
+        p: n × 2.
+        flat: the points of all curves, one after the other; N × 2.
         offsets: curve k is flat[offsets[k] : offsets[k + 1]].
         chosen: indices of the curves to take, one per lane.
         limits: one limit for each lane, m²; where the squared distance is more, out gets some value above the limit.
         work: memory from `_workspace`.
         out: receives one value for each curve.
     """
-    n, dimension = p.shape
+    n = p.shape[0]
     lanes = chosen.shape[0]
     m = 0
     for k in chosen:
@@ -274,12 +227,10 @@ def _sweep(
 
     wide = (n * lanes + _CHUNK - 1) // _CHUNK * _CHUNK
     long = m * lanes + 2 * _CHUNK
-    columns_p = work[: dimension * wide]
-    used = dimension * wide
-    columns_q = work[used : used + dimension * long]
-    used += dimension * long
-    squared = work[used : used + wide]
-    used += wide
+    columns_p = work[: 2 * wide]
+    used = 2 * wide
+    columns_q = work[used : used + 2 * long]
+    used += 2 * long
     # Cell (i, lane) of a diagonal is at (i + 1)·lanes + lane. Infinity stands for all outside the table,
     # i = −1 included, and for all that is left out.
     size = wide + 2 * lanes + _CHUNK
@@ -289,7 +240,7 @@ def _sweep(
     last = table[size : 2 * size]
     new = table[2 * size :]
 
-    for c in range(dimension):
+    for c in range(2):
         column = columns_p[c * wide : (c + 1) * wide]
         for i in range(n):
             for lane in range(lanes):
@@ -311,12 +262,23 @@ def _sweep(
     for lane in range(lanes):
         last[lanes + lane] = _squared_link(p, 0, flat, offsets[chosen[lane]])
 
-    if dimension == 2:
-        last = _diagonals_in_plane(n, m, limits, columns_p, columns_q, before, last, new)
-    else:
-        last = _diagonals(n, m, limits, dimension, columns_p, columns_q, squared, before, last, new)
+    last = _diagonals(n, m, limits, columns_p, columns_q, before, last, new)
     for lane in range(lanes):
         out[chosen[lane]] = last[n * lanes + lane]
+
+
+@kernel
+def _row_by_row(p: FloatArray, q: FloatArray) -> float:
+    """Return the squared distance of two curves in any dimension, by the whole table."""
+    row = np.full(q.shape[0], np.inf)
+    for i in range(p.shape[0]):
+        diagonal = -np.inf if i == 0 else np.inf  # cell (i − 1, j − 1)
+        for j in range(q.shape[0]):
+            before = row[j - 1] if j > 0 else np.inf
+            reach = min(diagonal, row[j], before)
+            diagonal = row[j]
+            row[j] = max(_squared_link(p, i, q, j), reach)
+    return row[-1]  # type: ignore[no-any-return]
 
 
 @kernel
@@ -332,6 +294,10 @@ def measure(p: FloatArray, flat: FloatArray, offsets: IntArray, order: IntArray,
         out: receives one value for each curve; only out[order] is written.
     """
     n = p.shape[0]
+    if p.shape[1] != 2:  # no curve of a road user
+        for k in order:
+            out[k] = np.sqrt(_row_by_row(p, flat[offsets[k] : offsets[k + 1]]))
+        return
     open_curves = np.empty_like(order)
     limits = np.empty(order.shape[0])
     left = 0
@@ -349,7 +315,7 @@ def measure(p: FloatArray, flat: FloatArray, offsets: IntArray, order: IntArray,
             left += 1
             longest = max(longest, m)
     if left > 0:
-        work = _workspace(n, longest, p.shape[1], min(most, left))
+        work = _workspace(n, longest, min(most, left))
         for start in range(0, left, most):
             end = min(start + most, left)
             _sweep(p, flat, offsets, open_curves[start:end], limits[start:end], work, out)
