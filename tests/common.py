@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import random
 import signal
 import socket
@@ -12,7 +11,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from importlib import resources
 from typing import Any
 
 import jsonschema
@@ -76,9 +74,10 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
 
 
 def assert_valid(assessment: Any) -> None:
-    """Hold the content of an assessment.json against the schema that comes with SKD."""
-    text = resources.files("skd_evaluator.assessment").joinpath("assessment.schema.json").read_text(encoding="utf-8")
-    schema = json.loads(text)
+    """Hold the content of an assessment.json against its schema."""
+    from skd_evaluator.assessment.files.assessment_json import assessment_schema
+
+    schema = assessment_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     found = jsonschema.Draft202012Validator(schema).iter_errors(assessment)
     assert [f"{list(one.path)}: {one.message:.200}" for one in found] == []

@@ -122,7 +122,7 @@ def test_no_data_set_is_in_the_repository():
     assert [name for name in files if name.endswith(".csv") and (ROOT / name).stat().st_size > 10_000] == []
 
 
-GONE = re.compile(r"deform|closeness|attempt|encounter|\bstruck\b|foretold|foresight|hit_rate", re.IGNORECASE)
+GONE = re.compile(r"deform|closeness|attempt|encounter|\bstruck\b|foretold|foresight|hit_rate|knowledge", re.IGNORECASE)
 """Words for what is called deviation, optimality gap, trial, scenario, collision partner, nominal collision rate."""
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -16,7 +14,6 @@ from skd_evaluator.assessment.figure_table import (
     Of,
     shown_in,
 )
-from skd_evaluator.assessment.files.assessment_json import as_text, assessment_schema
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -49,13 +46,6 @@ def test_a_result_has_the_rows_of_the_table_and_no_others(result):
         assert {key for row in objective["per_safe_trajectory"] for key in row} == set(OF_PHI)
     at_the_top = {one.key for one in FIGURES if one.of is Of.PHI_TOP}
     assert {key for row in figures["per_safe_trajectory"] for key in row} == set(OF_PHI) | at_the_top
-
-
-def test_the_schema_that_comes_with_skd_is_that_of_the_table():
-    """Where it is not: see what a new figure touches, in CONTRIBUTING.md."""
-    text = resources.files("skd_evaluator.assessment").joinpath("assessment.schema.json").read_text(encoding="utf-8")
-    assert json.loads(text) == assessment_schema()
-    assert text == as_text(assessment_schema()) + "\n"
 
 
 def test_what_is_shown_to_people_has_a_name_and_a_figure_behind_it(result):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
+from common import assert_valid
 from skd_evaluator.assessment.stages.static_tests import place_of
 from skd_evaluator.extensions.ncap.layout import layout_of, reasons
 from skd_evaluator.extensions.ncap.page import views_of
@@ -22,7 +20,6 @@ from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from static_support import static_tests
 
 KMH = 1.0 / 3.6
-SCHEMA = Path(__file__).parents[2] / "ros_ws/src/skd_evaluator/skd_evaluator/assessment/assessment.schema.json"
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +85,7 @@ def test_an_assessment_has_the_static_test_of_each_of_its_places(subject):
     for one in tests:
         assert one["touched"] == by_hand[one["place"]].touched
         assert one["impact_speed"] == by_hand[one["place"]].impact_speed
-    jsonschema.validate(dict(subject.figures), json.loads(SCHEMA.read_text(encoding="utf-8")))
+    assert_valid(dict(subject.figures))
 
 
 def test_the_page_has_the_grid_and_frames_what_is_narrow(subject):

@@ -11,7 +11,6 @@ setup(
     package_data={
         PACKAGE: [
             "py.typed",
-            "assessment/assessment.schema.json",
             "extensions/ncap/templates/*",
             "report/html/templates/*",
             "metrics/behaviour/walkers.yaml",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
@@ -115,3 +115,23 @@ class Context:
     graph: GraphOptions | None = None
     repeats: bool = True
     fresh: Fresh | None = None
+
+
+_Stage = TypeVar("_Stage", bound=Callable[[Context, Any], Any])
+STAGES: Final[dict[int, Callable[[Context, Any], Any]]] = {}
+"""The stages of an assessment by their place in the order; each module of the folder `stages` adds its own."""
+
+
+def stage(place: int) -> Callable[[_Stage], _Stage]:
+    """Make a function a stage: it is given the context and the assessment, and returns what is known after it.
+
+    Args:
+        place: where it stands in the order of all stages; no other has this number.
+    """
+
+    def add(function: _Stage) -> _Stage:
+        assert place not in STAGES, place
+        STAGES[place] = function
+        return function
+
+    return add

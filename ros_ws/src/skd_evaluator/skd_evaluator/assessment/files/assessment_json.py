@@ -1,6 +1,6 @@
 """assessment.json: its JSON Schema, which the table of figures gives, its reader, and its figures by name.
 
-`python -m skd_evaluator.assessment.files.assessment_json` prints assessment.schema.json, which comes with SKD.
+`python -m skd_evaluator.assessment.files.assessment_json` prints the schema.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import json
 import math
-import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,7 +29,6 @@ from skd_evaluator.assessment.figure_table import (
 )
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
 
-_WIDTH = 220
 _KINDS = (table.NUMBER, table.SHARE, table.INTERVAL, table.COUNT, table.FLAG, table.TEXT, table.LINES)
 _FIGURE, _SHARE, _BETWEEN, _COUNT, _FLAG, _TEXT, _LINES = (one.schema for one in _KINDS)
 _NUMBER = ref("number")
@@ -194,21 +192,6 @@ def assessment_schema() -> dict[str, Any]:
     }
 
 
-def as_text(value: Any, indent: int = 0) -> str:
-    """Return JSON in which what fits into a line stands in one."""
-    line = json.dumps(value, ensure_ascii=False)
-    if len(line) + indent <= _WIDTH or not isinstance(value, (dict, list)):
-        return line
-    inner, outer = "\n" + " " * (indent + 2), "\n" + " " * indent
-    if isinstance(value, list) and all(isinstance(one, str) for one in value):
-        lines = textwrap.wrap(line[1:-1], _WIDTH - indent)  # of keys, which have no blanks
-        return "[" + inner + inner.join(lines) + outer + "]"
-    if isinstance(value, list):
-        return "[" + inner + f",{inner}".join(as_text(one, indent + 2) for one in value) + outer + "]"
-    parts = (f"{json.dumps(key)}: {as_text(one, indent + 2)}" for key, one in value.items())
-    return "{" + inner + f",{inner}".join(parts) + outer + "}"
-
-
 ASSESSMENT = "assessment.json"
 
 
@@ -242,7 +225,7 @@ def understood(path: Path) -> Iterator[None]:
 
 
 def fault_of(figures: Mapping[str, Any]) -> str:
-    """Return which value is not as assessment.schema.json has it, in a few words; empty: all are."""
+    """Return which value is not as the schema has it, in a few words; empty: all are."""
     from jsonschema import Draft202012Validator  # slow to import, and only what reads results needs it
     from jsonschema.exceptions import best_match
 
@@ -342,4 +325,4 @@ def figure(result: Mapping[str, Any], name: str) -> float | None:
 
 
 if __name__ == "__main__":
-    print(as_text(assessment_schema()))
+    print(json.dumps(assessment_schema(), indent=2, ensure_ascii=False))

@@ -42,7 +42,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent
+from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
 from skd_evaluator.assessment.options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id, probe_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -70,6 +70,7 @@ def needs_learning(plan: Plan) -> bool:
     return plan.resolved_adversary_model == AdversaryModel.LEARNED and not plan.car_model
 
 
+@stage(10)  # before all, for φ of source `own` are planned with it
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the model of the car with which kamikazes plan, if they have to learn one."""
     runner = context.workers if context.graph is None else context.runner

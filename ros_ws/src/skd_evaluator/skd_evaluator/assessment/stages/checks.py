@@ -31,7 +31,7 @@ from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Mode, Outc
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context, Fresh, Runner
+from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
 from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods, standing
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -53,6 +53,7 @@ _SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
 _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
 
 
+@stage(110)
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with warnings: episodes that were aborted, and a user's car that hardly drives."""
     plan = assessment.plan
@@ -64,6 +65,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     return replace(assessment, warnings=(*assessment.warnings, *lines))
 
 
+@stage(120)
 def run_again(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with a warning if a user's car does not repeat itself in a sample of its episodes."""
     if assessment.plan.car.is_own or context.fresh is None:
@@ -277,6 +279,7 @@ def described(simulator_and_scenario: tuple[str, Scenario]) -> Mapping[str, Any]
     return dict(describe(scenario)) if callable(describe) else None
 
 
+@stage(60)
 def simulation(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with what its simulator says of the car, asked in a process that may run it.
 

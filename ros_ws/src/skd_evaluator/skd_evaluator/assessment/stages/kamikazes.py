@@ -12,7 +12,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, in_order, objective_results
-from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent
+from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
 from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult, kamikaze_set
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, runs_along
 from skd_evaluator.metrics.deviation import deviation
@@ -25,6 +25,7 @@ _PART = 4
 """One in so many of an assessment's trials is made for each bound."""
 
 
+@stage(40)
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with what the kamikazes of each objective reached, unless that is known already."""
     if assessment.results:
@@ -36,6 +37,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     return replace(assessment, plan=results[0].plan, results=results)
 
 
+@stage(50)
 def run_nominal(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the runs of the car against an adversary that follows φ, unless they are known."""
     if assessment.nominal_runs:
@@ -45,6 +47,7 @@ def run_nominal(context: Context, assessment: Assessment) -> Assessment:
     return replace(assessment, nominal_runs=logs)
 
 
+@stage(100)
 def run_bounded(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with points of the vulnerability curve, where it is requested.
 

@@ -19,7 +19,7 @@ from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context, Progress, Runner
+from skd_evaluator.assessment.context import Context, Progress, Runner, stage
 from skd_evaluator.assessment.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers, available_workers, in_background
@@ -201,6 +201,7 @@ def _by_whole_episodes(
     return best, replace(found.search, how=how, converged=found.search.converged and not held), warnings
 
 
+@stage(70)
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the margin of the car, and the C of the basic car with the same; or why there is none.
 

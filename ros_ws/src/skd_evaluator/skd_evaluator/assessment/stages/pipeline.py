@@ -1,7 +1,9 @@
-"""The stages of an assessment, in order; the same in process, through the graph and on a cluster."""
+"""The stages of an assessment, in order of their places; the same in process, through the graph and on a cluster."""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,51 +14,30 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.options.registry import Registry
 from skd_sim.world.episode import EpisodeSpec
 
+from skd_evaluator.assessment import stages as modules
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context
+from skd_evaluator.assessment.context import STAGES, Context
 from skd_evaluator.assessment.options import GENERATED
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages import (
-    car_model,
-    checks,
-    kamikazes,
-    margin,
-    risk,
-    safe_trajectories,
-    sequential,
-    static_tests,
-)
+from skd_evaluator.assessment.stages import car_model, margin, risk, safe_trajectories
 
 Stage = Callable[[Context, Assessment], Assessment]
-"""Adds to what is known of a car."""
-
-STAGES: Final[tuple[Stage, ...]] = (
-    car_model.run,  # first, for φ of source `own` are planned with it
-    sequential.run,  # with --until-width, the next three, batch by batch
-    safe_trajectories.run,
-    kamikazes.run,
-    kamikazes.run_nominal,
-    checks.simulation,
-    margin.run,
-    risk.run,
-    static_tests.run,
-    kamikazes.run_bounded,
-    checks.run,
-    checks.run_again,
-)
-"""A stage whose results are known already leaves them as they are."""
+"""Adds to what is known of a car; one whose results are known already leaves them as they are."""
 REGISTERED: Final = Registry("stage", "skd.stages", {})
 """Stages of installed packages, functions as those above; they come last, in the order of their names."""
 
 
 def stages() -> list[Stage]:
-    """Return the stages of an assessment, in order.
+    """Return the stages of an assessment, in order: those of the modules of this folder, then those of packages.
 
     Raises:
         UsageError: one of an installed package cannot be loaded.
     """
-    return [*STAGES, *map(REGISTERED.find, REGISTERED.names())]
+    for one in pkgutil.iter_modules(modules.__path__, f"{modules.__name__}."):
+        importlib.import_module(one.name)
+    own = [found for _, found in sorted(STAGES.items())]
+    return [*own, *map(REGISTERED.find, REGISTERED.names())]
 
 
 def run_stages(context: Context, assessment: Assessment) -> Assessment:

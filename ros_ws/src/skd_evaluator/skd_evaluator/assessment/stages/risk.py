@@ -19,7 +19,7 @@ from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Role, generator
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context, Progress, RiskRequest, Runner
+from skd_evaluator.assessment.context import Context, Progress, RiskRequest, Runner, stage
 from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.options import NO_BEHAVIOUR
@@ -142,6 +142,7 @@ def warm_up_risk(plan: Plan) -> None:
     car.run_drawn(crossings, draws_of(crossing_plan, crossings), 1.0)
 
 
+@stage(80)
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the risk of the car, or why there is none."""
     request, plan = context.risk, assessment.for_deviation.plan

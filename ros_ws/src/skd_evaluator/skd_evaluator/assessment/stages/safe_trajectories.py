@@ -14,7 +14,7 @@ from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent
+from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
 from skd_evaluator.assessment.options import GENERATED, OWN, WALKERS
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -26,6 +26,7 @@ TRIALS_PER_REQUESTED = 20
 SIMULATIONS = 2000
 
 
+@stage(30)
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with its φ, unless they are known already."""
     if assessment.safe:

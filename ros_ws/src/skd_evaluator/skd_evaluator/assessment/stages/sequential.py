@@ -18,7 +18,7 @@ from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
-from skd_evaluator.assessment.context import Context, Runner
+from skd_evaluator.assessment.context import Context, Runner, stage
 from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.options import GENERATED
 from skd_evaluator.assessment.plan import Plan, Stage
@@ -32,6 +32,7 @@ LOOKS = 10
 """Batches of φ at most."""
 
 
+@stage(20)  # with --until-width, the next three, batch by batch
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Run batches of φ until the interval of the mean deviation is narrow enough, or there are no more looks.
 

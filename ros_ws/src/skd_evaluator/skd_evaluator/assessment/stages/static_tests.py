@@ -15,7 +15,7 @@ from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context
+from skd_evaluator.assessment.context import Context, stage
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner, speed_ahead
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
@@ -138,6 +138,7 @@ def place_of(name: str) -> float | None:
         return None
 
 
+@stage(90)
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the static test of each impact place that one of its φ stands for.
 

@@ -200,7 +200,7 @@ def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
     heads = ["cell", "margin\n(m)", "95 %,\nby φ", "equiv.\nC", "nominal\ncollisions", "planned\n(m)"]
-    heads += ["knowl-\nedge", "SKD\n(m)"]
+    heads += ["adversary\nmodel", "SKD\n(m)"]
     cells = [
         [
             f"{escape(str(row['name']))}{credibility_mark(row)}",
