@@ -103,7 +103,6 @@ def test_how_many_episodes_there_are(tmp_path):
         ("cars: [{}, {controler: cal}]", ["unknown key cars[1].controler", "did you mean 'controller'?"]),
         ("cars: [{multiplier: 1000}]", ["cars[0].multiplier must be a number from 0 to 100, got 1000"]),
         ("defaults: {objective: papper}", ["defaults.objective must be one of both", "did you mean 'paper'?"]),
-        ("defaults: {graphs: 2}", ["defaults.graphs is of the whole campaign"]),
         ("defaults: {name: all}", ["unknown key defaults.name"]),
         ("sweep: {seed: 3}", ["sweep.seed must be a list of at least 1, got int"]),
         ("sweep: {seed: [1, 2, 1]}", ["sweep.seed: a value is given twice"]),

@@ -90,8 +90,6 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["probe", "--pacing", "real_time"], ["--pacing is for the node graph", "add --graph"]),
         (["probe", "-p", "command_type:=twist"], ["--command-type is for the node graph", "add --graph"]),
         (["probe", "-p", "reset:=restart"], ["--reset is for the node graph", "add --graph"]),
-        (["probe", "-p", "graphs:=2"], ["--graphs is for the node graph", "add --graph"]),
-        (["probe", "--graph", "--controller", "external", "-p", "graphs:=2"], ["graphs needs --controller-command"]),
         (["probe", "--graph", "--controller", "external", "-p", "reset:=restart"], ["needs --controller-command"]),
         (["probe", "--graph", "-p", "reset:=lifecycle"], ["reset lifecycle and lifecycle_nodes", "go together"]),
         (["episode", "-p", "command_type:=twist"], ["--command-type goes with --controller external"]),

@@ -24,7 +24,7 @@ from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.ros.lockstep import ControlStep, End, Lockstep, Source, Start, WaitLimits, frame_stamp
+from skd_sim.ros.lockstep import ControlStep, End, Lockstep, Senders, Source, Start, WaitLimits, frame_stamp
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
@@ -87,22 +87,6 @@ def test_the_car_decides_on_true_states_every_control_period_and_the_adversary_e
     assert len({command for command, _ in simulator.told}) == periods
 
 
-class Alone:
-    """Senders of which there is one."""
-
-    def count(self) -> int:
-        return 1
-
-    def crowd(self) -> str | None:
-        return None
-
-    def names(self) -> list[str]:
-        return ["/one"]
-
-    def absence(self) -> str:
-        return ""
-
-
 def frames_of(episode: EpisodeSpec, *, real_time: bool) -> Iterator[Frame]:
     """Run an episode through the rules of the graph; in real time every command comes in time."""
     start = 3_000_000_000
@@ -110,9 +94,8 @@ def frames_of(episode: EpisodeSpec, *, real_time: bool) -> Iterator[Frame]:
     controller = make_controller(episode.controller, episode.multiplier)
     controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
     laser = make_laser(episode)
-    lockstep = Lockstep(
-        Source("car", "drive", Alone()), Source("adversary", "walk", Alone()), WaitLimits(1.0, 1.0), real_time=real_time
-    )
+    sources = (Source(name, name, Senders()) for name in ("car", "adversary"))
+    lockstep = Lockstep(*sources, WaitLimits(1.0, 1.0), real_time=real_time)
     frame = simulator.reset(episode)
     assert lockstep.begin(start, episode.scenario, frame, 0.0) is None
     yield frame

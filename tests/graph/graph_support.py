@@ -23,7 +23,7 @@ from forked_skd import TOKEN, ForkedSkd
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.report.progress import COMPILING
 from skd_evaluator.ros.processes import GraphSetting
-from skd_evaluator.ros.session import graphs_session
+from skd_evaluator.ros.session import graph_session
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.world.episode import EpisodeLog
 
@@ -257,7 +257,7 @@ def whole_graph(
     token, domain = uuid.uuid4().hex, domain or free_domain()  # that of a graph which has ended here, if any
     with (
         in_domain(domain, token),
-        graphs_session(
+        graph_session(
             GraphSetting(options=options, car=CarUnderTest(controller), log_folder=folder, record_to=record_to)
         ) as evaluator,
     ):

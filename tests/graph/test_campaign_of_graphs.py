@@ -1,4 +1,4 @@
-"""`skd campaign --graphs N` over real graphs: whatever ends it leaves no process, and it goes on where it was."""
+"""`skd campaign` over real graphs: whatever ends it leaves no process, and it goes on where it was."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BATCH = 20_000  # bytes, with some episodes in them
 def test_a_campaign_of_graphs_that_is_killed_goes_on(tmp_path: Path, safe: Path) -> None:
     """It comes to what one in process does that nobody disturbed."""
     (tmp_path / "campaign.yaml").write_text(f"defaults: {json.dumps({**SIZES, 'safe': str(safe), 'graph': True})}\n")
-    words = ("campaign", tmp_path / "campaign.yaml", "--graphs", 2, "--out", tmp_path / "out", "-q", "--resume")
+    words = ("campaign", tmp_path / "campaign.yaml", "--out", tmp_path / "out", "-q", "--resume")
     wal = tmp_path / "out" / f"{FILE_NAME}-wal"
     campaign = Skd(*words)
     wait_until(lambda: campaign.has_ended() or (wal.exists() and wal.stat().st_size > BATCH))

@@ -189,7 +189,6 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
         ({"nodes": "separate"}, WORLD, False),
         ({"pacing": "real_time"}, WORLD, False),
         ({"quiet_time": 0.1}, WORLD, False),
-        ({"graphs": 2}, WORLD, False),
         ({}, "somebody's", False),
     ],
 )

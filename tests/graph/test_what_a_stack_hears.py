@@ -134,7 +134,7 @@ def test_whoever_listens_hears_all_states_and_every_second_scan(ears: Any, profi
     moments = states(episode, 5)
     graph = ears(scan_rate=10.0)
     graph.listen(MOVING, profile)
-    graph.states.begin(episode, START)
+    graph.states.begin(episode, moments[0][0].car, START)
     graph.listen(FIXED, LATCHED)  # after they were said
     for frame, stamp in moments:
         graph.say(frame, stamp)
@@ -185,7 +185,7 @@ def test_the_adversary_is_a_tracked_object(ears: Any) -> None:
     graph = ears()
     heard = {"/adversary/odometry": Odometry, "/adversary/detections": vision.Detection3DArray, "/tf": TFMessage}
     graph.listen(heard, qos_profile_sensor_data)
-    graph.states.begin(episode, START)
+    graph.states.begin(episode, moments[0][0].car, START)
     for frame, stamp in moments:
         graph.say(frame, stamp)
     messages, transforms = graph.wait_for("/adversary/odometry", len(moments)), graph.wait_for("/tf", len(moments))
@@ -218,9 +218,9 @@ def test_the_frames_of_a_stack_that_calls_them_otherwise(ears: Any) -> None:
     graph = ears(odom_frame="car/odom", base_frame="car/base", laser_frame="car/front", own_localisation=True)
     graph.listen({"/ego/odometry": Odometry, "/tf": TFMessage, "/ego/scan": LaserScan}, RELIABLE)
     episode = sharp("crossing")
-    graph.states.begin(episode, START)
-    graph.listen(FIXED, LATCHED)
     frame, stamp = states(episode, 1)[0]
+    graph.states.begin(episode, frame.car, START)
+    graph.listen(FIXED, LATCHED)
     graph.say(frame, stamp)
     (fixed,), (moving,) = graph.wait_for("/tf_static", 1), graph.wait_for("/tf", 1)
     pairs = [(one.header.frame_id, one.child_frame_id) for one in [*fixed.transforms, *moving.transforms]]
@@ -236,7 +236,7 @@ def test_a_transform_is_said_again_only_to_those_who_came_since(ears: Any) -> No
     graph = ears()
     episode = sharp("crossing")
     frame, stamp = states(episode, 1)[0]
-    graph.states.begin(episode, START)
+    graph.states.begin(episode, frame.car, START)
     graph.listen({"/tf": TFMessage, "/ego/odometry": Odometry}, RELIABLE)
     for _ in range(3):
         graph.say(frame, stamp)

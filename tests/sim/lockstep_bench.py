@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skd_sim.ros.lockstep import Action, ControlStep, End, Lockstep, Source, WaitLimits
+from skd_sim.ros.lockstep import Action, ControlStep, End, Lockstep, Senders, Source, WaitLimits
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Outcome
@@ -20,7 +20,7 @@ CAR, ADVERSARY = CarState(0.0, -15.0, math.pi / 2, 8.0), AdversaryState(-3.5, 0.
 
 
 @dataclass
-class Few:
+class Few(Senders):
     """Senders as a middleware might see them."""
 
     alive: list[str] = field(default_factory=lambda: ["/one"])
@@ -30,9 +30,6 @@ class Few:
 
     def crowd(self) -> str | None:
         return f"{len(self.alive)} publish" if len(self.alive) > 1 else None
-
-    def names(self) -> list[str]:
-        return self.alive
 
     def absence(self) -> str:
         return "nobody publishes"

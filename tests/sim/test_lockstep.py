@@ -167,10 +167,10 @@ def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
     assert isinstance(end, End)
     assert end.reason == (
         "wrong stamp: the car controller (ego/acceleration_command) stayed silent for 10 s at tick 0: its commands "
-        "carry other stamps (2 came; newest 6.200 s, wanted 5.000 s); they are 1.2 s ahead: copy the odometry's stamp, "
-        "or, of a node with a timer, use_sim_time:=true and -p quiet_time:=0.1 or --pacing real_time, which wait for "
-        "none and not started: the adversary (adversary/velocity_command) stayed silent for 10 s at tick 0: nobody "
-        "publishes"
+        "carry other stamps (2 came; newest 6.200 s, awaited 5.000 s); they are 1.2 s ahead: copy the odometry's "
+        "stamp, or, of a node with a timer, use_sim_time:=true and -p quiet_time:=0.1 or --pacing real_time, which "
+        "wait for none and not started: the adversary (adversary/velocity_command) stayed silent for 10 s at tick 0: "
+        "nobody publishes"
     )
 
 

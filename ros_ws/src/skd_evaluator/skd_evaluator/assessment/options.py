@@ -121,7 +121,7 @@ class AssessmentOptions:
 
 JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
 COMPOSED, SEPARATE = "composed", "separate"
-OF_NO_RESULT = frozenset({"graphs", "nodes"})
+OF_NO_RESULT = frozenset({"nodes"})
 """Options that change how long it takes, and no number of what comes out."""
 RESETS = (JUMP, INITIAL_POSE, LIFECYCLE, RESTART)
 
@@ -180,19 +180,10 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         metavar="HOW",
         launches=(),
     )
-    graphs: int = graph_option(
-        1,
-        "how many node graphs run side by side, each in a ROS domain of its own",
-        low=1,
-        high=16,
-        metavar="N",
-        commands=("assess", "probe"),
-        launches=(),
-    )
     nodes: str = graph_option(
         COMPOSED,
-        "where simulator and adversary run: composed (in this process, which is faster), or separate. Real time, "
-        "quiet_time and several graphs are always separate",
+        "where simulator and adversary run: composed (in this process, which is faster), or separate. Real time "
+        "and quiet_time are always separate",
         choices=Names((COMPOSED, SEPARATE)),
         launches=(),
         commands=("assess", "episode", "probe"),
@@ -210,9 +201,8 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
 
     def composes(self, simulator: str) -> bool:
         """Return whether simulator and adversary share the evaluator's process, if that is a simulator's name."""
-        # Planning would keep a clock waiting, one graph another, and nobody knows what code of others does.
-        alone = self.graphs == 1 and is_own_world(simulator)
-        return self.nodes == COMPOSED and self.answers_each_state and alone
+        # Planning would keep a clock waiting, and it is not known what code of others does.
+        return self.nodes == COMPOSED and self.answers_each_state and is_own_world(simulator)
 
     def simulator_parameters(self) -> dict[str, Any]:
         """Return the parameters of the simulator's node by name."""
@@ -231,8 +221,6 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         started_here = not car.is_external or self.controller_command is not None
         if RESTART in self.resets and not started_here:
             raise UsageError("reset restart needs --controller-command: SKD restarts only what it has started")
-        if self.graphs > 1 and not started_here:
-            raise UsageError("graphs needs --controller-command: a controller that you start is in one graph only")
         if (LIFECYCLE in self.resets) != bool(managed_nodes(self.lifecycle_nodes)):
             raise UsageError("reset lifecycle and lifecycle_nodes /name,/other go together: give both or neither")
 

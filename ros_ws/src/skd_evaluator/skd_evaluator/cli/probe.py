@@ -30,7 +30,7 @@ from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.report.presentation import write_with_scratch
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.processes import GraphSetting
-from skd_evaluator.ros.session import fresh_graph, graphs_session, prepare_ros
+from skd_evaluator.ros.session import fresh_graph, graph_session, prepare_ros
 from skd_evaluator.version import version
 
 
@@ -120,7 +120,7 @@ def _through_graph(
             simulator=arguments.simulator,
             record_to=scratch.folder / "bags",
         )
-        with graphs_session(setting) as evaluator:
+        with graph_session(setting) as evaluator:
             logs = _collect(evaluator, episodes, progress)
             if (fresh := fresh_graph(evaluator, setting)) is not None:
                 warnings = repeatability(car.controller, logs, fresh)

@@ -126,7 +126,7 @@ class EvaluatorProcess(Evaluator):
         try:
             with (
                 self._out.scratch() as scratch,
-                resetting(self.context, names, patience=values["silence_limit"]) as reset,
+                resetting(self.context, names, values["silence_limit"]) as reset,
             ):
                 self.begin_campaign(
                     campaign_name(plan.car),

@@ -1,4 +1,4 @@
-"""Whole graphs: processes, domain and evaluator of one, and several that share the episodes of one campaign.
+"""A whole graph: its processes, its domain, and its evaluator.
 
 No two graphs of one machine see each other: each has a ROS domain of its own. The last node of a context takes its
 participant with it, and that may hang for ever in the middleware, in a loop that holds Python's global lock
@@ -14,184 +14,101 @@ import os
 import random
 import socket
 import sys
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
-from queue import SimpleQueue
 
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from skd_sim.errors import UsageError
 from skd_sim.ros.commands import car_commands
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+from skd_sim.world.episode import counts_in_words
 
-from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.options import RESTART, managed_nodes
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import (
     ADVERSARY,
     CONTROLLER,
-    AbortedEpisodes,
     GraphSetting,
     Supervisor,
+    campaign_name,
     concerned,
     graph_programs,
+    log_of,
 )
 from skd_evaluator.ros.stack import resetting
 
 
 @contextmanager
-def running_graph(
-    setting: GraphSetting,
-    domain: int,
-    name: str = "evaluator",
-    refuse_to_go_on: Callable[[], None] = lambda: None,
-    watched: Watched | None = None,
-) -> Iterator[Evaluator]:
+def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iterator[Evaluator]:
     """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
 
     Args:
         setting: what it runs.
-        domain: ROS domain id.
-        name: name of the evaluator's node.
-        refuse_to_go_on: called while the evaluator waits; an exception that it raises ends the graph.
         watched: who takes part as the adversary, and watches; by default SKD's own node is the adversary.
 
     Raises:
         UsageError: a process cannot be started, or there are no such commands as the options say.
-        AssessmentError: the graph cannot go on.
+        AssessmentError: the graph cannot go on; says where the logs are.
     """
-    options = setting.options
+    options, domain = setting.options, choose_domain()
     car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
     composed = watched is None and options.composes(setting.simulator)
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     programs = graph_programs(options, setting.car, environment, composed=composed)
     if watched is not None:
         del programs[ADVERSARY]
+    anew = RESTART in options.resets
 
     def check_processes() -> str | None:
-        refuse_to_go_on()
         if watched is not None:
             watched.check()
         return supervisor.check()
 
-    def replace_silent(reason: str) -> None:
-        for name in concerned(reason):
-            supervisor.restart(name)
-
     def before_episode() -> str | None:
-        if RESTART in options.resets:
-            supervisor.restart(CONTROLLER)
+        if anew:
+            supervisor.restart([CONTROLLER])
         return reset()
 
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, setting.log_folder, setting.say))
         context, nodes = stack.enter_context(_place_in(domain))
-        evaluator = Evaluator(context, name, options if composed else None, start_parameter_services=False)
+        evaluator = Evaluator(context, "evaluator", options if composed else None, start_parameter_services=False)
         nodes.append(evaluator)
         if watched is not None:
             nodes.append(stack.enter_context(watched.adversary(context)))
-        reset = stack.enter_context(
-            resetting(
-                context,
-                managed_nodes(options.lifecycle_nodes),
-                patience=options.startup_timeout,
-                check_processes=check_processes,
-            )
-        )
+        managed = managed_nodes(options.lifecycle_nodes)
+        reset = stack.enter_context(resetting(context, managed, options.startup_timeout, check_processes))
         evaluator.begin_campaign(
-            setting.campaign,
+            setting.campaign or campaign_name(setting.car),
             record_to=setting.record_to,
             silence_limit=options.startup_timeout + 30.0,
             check_processes=check_processes,
             before_episode=before_episode,
-            after_silence=replace_silent,
+            after_silence=lambda reason: supervisor.restart(concerned(reason)),
             commands=options,
             own_world=True,
-            anew=RESTART in options.resets,
+            anew=anew,
             answers_each_state=options.answers_each_state,
             say=setting.say,
             log_folder=setting.log_folder,
         )
-        yield evaluator
-
-
-class _StoppedError(Exception):
-    """The campaign has ended, and with it the episodes that are still running."""
-
-
-class GraphPool:
-    """Runs the episodes of one campaign in several graphs; an `Runner`."""
-
-    def __init__(self, evaluators: Sequence[Evaluator], failures: AbortedEpisodes) -> None:
-        """Take the graphs' evaluators, all of them idle, and what takes note of every episode."""
-        self._evaluators, self._failures = evaluators, failures
-        self._idle: SimpleQueue[Evaluator] = SimpleQueue()
-        for evaluator in evaluators:
-            self._idle.put(evaluator)
-        self._executor = ThreadPoolExecutor(len(evaluators), "skd-graph")
-
-    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
-        """Run episodes and yield their logs in the order of the episodes.
-
-        Raises:
-            AssessmentError: a graph cannot go on, or one episode after the other fails at its start.
-        """
-        futures = [self._executor.submit(self._run_episode, episode) for episode in episodes]
+        topic = evaluator.resolve_topic_name(options.command_topic)
+        if setting.awaits_car and not evaluator.count_publishers(topic):
+            setting.say(f"waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})")
         try:
-            for future in futures:
-                log = future.result()
-                self._failures.note(log)
-                yield log
-        finally:
-            for future in futures:
-                future.cancel()
-
-    def _run_episode(self, episode: EpisodeSpec) -> EpisodeLog:
-        evaluator = self._idle.get()
-        try:
-            return evaluator.run_episode(episode)
-        finally:
-            self._idle.put(evaluator)
-
-    def publish_assessment(self, assessment: Assessment) -> None:
-        """Publish an assessment in the first graph's domain."""
-        self._evaluators[0].publish_assessment(assessment)
-
-    def close(self) -> None:
-        """Wait for the episodes that are running, and begin no other."""
-        self._executor.shutdown(cancel_futures=True)
+            yield evaluator
+        except AssessmentError as error:
+            reasons = evaluator.failures.reasons
+            counts = f"; aborted were {counts_in_words(reasons)}" if reasons else ""
+            error.args = (f"{error}{counts}; log: {log_of(setting.log_folder, str(error))}",)  # its kind stays
+            raise
 
 
-@contextmanager
-def running_graphs(setting: GraphSetting, failures: AbortedEpisodes) -> Iterator[GraphPool]:
-    """Run as many graphs as the options say and yield what runs episodes in them; see `running_graph`."""
-    stopping = threading.Event()
-
-    def refuse_to_go_on() -> None:
-        if stopping.is_set():
-            raise _StoppedError
-
-    with ExitStack() as stack:
-        evaluators = []
-        for number in range(setting.options.graphs):
-            which = f"{number + 1}" if number else ""  # the first is as if it were the only one
-            folder = setting.log_folder / f"graph{which}" if which else setting.log_folder
-            folder.mkdir(exist_ok=True)
-            one, domain = replace(setting, log_folder=folder), free_domain() if number else choose_domain()
-            evaluators.append(stack.enter_context(running_graph(one, domain, f"evaluator{which}", refuse_to_go_on)))
-        pool = GraphPool(evaluators, failures)
-        try:
-            yield pool
-        finally:
-            stopping.set()
-            pool.close()
-
-
+_idle: dict[int, tuple[Context, list[Node]]] = {}
+"""Domains in which a graph has ended: the context, the node that keeps its participant, and the graph's own nodes."""
 _HIGHEST_DOMAIN = 101  # above it, DDS ports run into Linux's ephemeral range
 _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250  # DDSI-RTPS 2.2, section 9.6.1
 _reserved: list[socket.socket] = []
@@ -219,7 +136,7 @@ def free_domain() -> int:
         UsageError: there is none.
     """
     if _idle:
-        return _idle[0][0]
+        return next(iter(_idle))
     for domain in random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN):
         if _reserve(domain) and not is_in_use(domain):
             return domain
@@ -255,35 +172,28 @@ def is_in_use(domain: int) -> bool:
     return False
 
 
-_idle: list[tuple[int, Context, list[Node]]] = []
-"""Domains in which a graph has ended: the context, the node that keeps its participant, and the graph's own nodes."""
-
-
 @contextmanager
 def _place_in(domain: int) -> Iterator[tuple[Context, list[Node]]]:
     """Yield the context of a domain, and a list for nodes that are to live until the next graph begins there."""
-    place = next((one for one in _idle if one[0] == domain), None)
-    if place is None:
+    if domain not in _idle:
         context = Context()
         rclpy.init(args=[], context=context, domain_id=domain)
         keeper = Node("_skd_context", context=context, start_parameter_services=False, enable_rosout=False)
-        place = domain, context, [keeper]
-    else:
-        _idle.remove(place)
-    _, context, nodes = place
+        _idle[domain] = context, [keeper]
+    context, nodes = _idle.pop(domain)
     while len(nodes) > 1:
         nodes.pop().destroy_node()
     try:
         yield context, nodes
     finally:
-        _idle.append(place)
+        _idle[domain] = context, nodes
 
 
 @atexit.register
 def end_contexts() -> None:
     """Take down all contexts that no graph uses."""
     while _idle:
-        _, context, nodes = _idle.pop()
+        context, nodes = _idle.popitem()[1]
         for node in reversed(nodes):
             node.destroy_node()
         rclpy.try_shutdown(context=context)

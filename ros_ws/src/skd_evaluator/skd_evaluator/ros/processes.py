@@ -16,11 +16,9 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import IO
 
 from skd_sim.controllers.isolated import FAILED_STARTS
 from skd_sim.errors import UsageError
@@ -67,7 +65,7 @@ class GraphSetting:
         simulator: name of the simulator.
         record_to: folder for one bag per episode; none: do not record.
         say: called with each line for the user.
-        campaign: name of the campaign; by default one that no other has, and that does not tell the seed.
+        campaign: name of the campaign; empty: one that no other has, and that does not tell the seed.
     """
 
     options: GraphOptions
@@ -77,10 +75,6 @@ class GraphSetting:
     record_to: Path | None = None
     say: Callable[[str], None] = say_to_user
     campaign: str = ""
-
-    def __post_init__(self) -> None:
-        """Name the campaign."""
-        object.__setattr__(self, "campaign", self.campaign or campaign_name(self.car))
 
     @property
     def awaits_car(self) -> bool:
@@ -173,27 +167,82 @@ def log_of(folder: Path, reason: str) -> Path:
     return next((log for log in logs if log.exists()), folder)
 
 
-@dataclass
 class _Process:
-    name: str
-    program: Program
-    log: Path
-    popen: subprocess.Popen[bytes] | None = None
-    watch: subprocess.Popen[bytes] | None = None
-    output: IO[bytes] | None = field(default=None, repr=False)
-    restarts: int = 0
-    begin: int = 0  # of what this one has printed, in the log
-    said: bool = False
+    """A program that runs, or can be started; a shell beside it kills its group when this process has died."""
+
+    def __init__(self, name: str, program: Program, log: Path) -> None:
+        self.name, self.program, self.log = name, program, log
+        self.restarts = 0
+        self.said = False
+        self._popen: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it, in a process group of its own.
+
+        Raises:
+            UsageError: it cannot be started.
+        """
+        command = self.program.command
+        with self.log.open("ab") as output:
+            self._begin = output.tell()  # of what this one prints, in the log
+            try:
+                self._popen = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    env=self.program.environment,
+                    start_new_session=True,
+                    preexec_fn=_answer_to_sigint,
+                )
+            except OSError as error:
+                raise UsageError(f"{self.name} cannot be started: {error.strerror}: {command[0]}") from error
+        self._watch = subprocess.Popen(
+            ["/bin/sh", "-c", _WATCH, "sh", str(self._popen.pid)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    @property
+    def code(self) -> int | None:
+        """Its exit code; none where it runs, or has been ended."""
+        return None if self._popen is None else self._popen.poll()
+
+    @property
+    def lives(self) -> bool:
+        """Whether it runs."""
+        return self._popen is not None and self._popen.poll() is None
+
+    def signal(self, number: int) -> None:
+        """Send a signal to its group."""
+        if self._popen is not None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._popen.pid, number)
+
+    def clear_away(self) -> None:
+        """Kill it where it still runs, and what it has left behind."""
+        self.signal(signal.SIGKILL)
+        if self._popen is not None:
+            self._popen.wait()
+            self._watch.communicate(b"\n")
+        self._popen = None
+
+    def last_lines(self) -> list[str]:
+        """Return the last lines that it has printed since it was started, at least one."""
+        with self.log.open("rb") as log:
+            log.seek(max(self._begin, log.seek(0, os.SEEK_END) - _LAST_BYTES))
+            text = log.read().decode(errors="replace")
+        lines = [printable(line.rstrip().expandtabs())[:_LONGEST_LINE] for line in text.splitlines() if line.strip()]
+        return lines[-_LAST_LINES:] or ["(it has printed nothing)"]
 
 
 class Supervisor:
     """Starts processes in groups of their own and never leaves one behind."""
 
     def __init__(
-        self,
-        programs: Mapping[str, Program],
-        log_folder: Path,
-        say: Callable[[str], None] = lambda _line: None,
+        self, programs: Mapping[str, Program], log_folder: Path, say: Callable[[str], None] = lambda _line: None
     ) -> None:
         """Prepare; nothing runs yet.
 
@@ -208,41 +257,14 @@ class Supervisor:
     def __enter__(self) -> Supervisor:
         try:
             for process in self._processes:
-                self._start(process)
+                process.start()
         except BaseException:
-            self.stop()
+            self._end(self._processes)
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
-
-    def _start(self, process: _Process) -> None:
-        process.output = process.log.open("ab")
-        process.begin = process.output.tell()
-        try:
-            process.popen = subprocess.Popen(
-                process.program.command,
-                stdin=subprocess.DEVNULL,
-                stdout=process.output,
-                stderr=subprocess.STDOUT,
-                env=process.program.environment,
-                start_new_session=True,
-                preexec_fn=_answer_to_sigint,
-            )
-        except OSError as error:
-            raise UsageError(
-                f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}"
-            ) from error
-        process.watch = subprocess.Popen(
-            ["/bin/sh", "-c", _WATCH, "sh", str(process.popen.pid)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+    def __exit__(self, *_error: object) -> None:
+        self._end(self._processes)
 
     def check(self) -> str | None:
         """Restart every process that has died, and return what happened; none where all are well.
@@ -252,14 +274,14 @@ class Supervisor:
         """
         problems = []
         for process in self._processes:
-            code = None if process.popen is None else process.popen.poll()
+            code = process.code
             if code is None:
                 continue
             how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
             problem = abort_reason(AbortKind.ENDED, f"{process.name} {how}")
             problems.append(problem)
             self._end([process])
-            last = _last_lines(process)
+            last = process.last_lines()
             if not process.said:
                 process.said = True
                 self._say("\n  | ".join([f"{problem}; the end of {process.log}:", *last]))
@@ -270,71 +292,38 @@ class Supervisor:
                 if lacks and not is_sourced(process.program.environment):
                     hint = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
                 raise GraphError(f"{problem}, for the {process.restarts}. time; its last words: {last[-1]}{hint}")
-            self._start(process)
+            process.start()
         return " and ".join(problems) or None
 
-    def restart(self, name: str) -> None:
-        """End a process and start it anew."""
+    def restart(self, names: Collection[str]) -> None:
+        """End processes, by their names, and start them anew."""
         for process in self._processes:
-            if process.name == name:
+            if process.name in names:
                 self._end([process])
-                self._start(process)
-
-    def stop(self) -> None:
-        """End all processes: politely, then firmly."""
-        self._end(self._processes)
+                process.start()
 
     def _end(self, processes: Sequence[_Process]) -> None:
+        """End processes: politely, then firmly."""
         begin = time.monotonic()
-        alive = _alive(processes)
+        alive = [process for process in processes if process.lives]
         for number, latest in ((signal.SIGINT, begin + 0.5 * END_LIMIT), (signal.SIGTERM, begin + END_LIMIT)):
             for process in alive:
-                _signal_group(process, number)
+                process.signal(number)
                 # One that is stopped answers no signal; killed where it stands, it may leave locks of the middleware's
-                # shared memory behind, and who comes in its place is not heard.
-                _signal_group(process, signal.SIGCONT)
+                # shared memory behind, and its successor is not heard.
+                process.signal(signal.SIGCONT)
             while alive and time.monotonic() < latest:
                 time.sleep(0.01)
-                alive = _alive(alive)
+                alive = [process for process in alive if process.lives]
         for process in alive:
             self._say(f"{process.name} did not end within {END_LIMIT:g} s of SIGINT; it is killed, with its group")
         for process in processes:
-            _signal_group(process, signal.SIGKILL)  # also what a process that has ended left behind
-            if process.popen is not None:
-                process.popen.wait()
-            if process.watch is not None:
-                process.watch.communicate(b"\n")
-            if process.output is not None:
-                process.output.close()
-            process.popen = process.watch = process.output = None
+            process.clear_away()
 
 
 def _answer_to_sigint() -> None:
     """Have a process answer to SIGINT whatever the one that started it does."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def _alive(processes: Sequence[_Process]) -> list[_Process]:
-    return [process for process in processes if process.popen is not None and process.popen.poll() is None]
-
-
-def _signal_group(process: _Process, number: int) -> None:
-    if process.popen is not None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.popen.pid, number)
-
-
-def _last_lines(process: _Process) -> list[str]:
-    """Return the last lines that a process has printed since it was started, at least one."""
-    try:
-        with process.log.open("rb") as log:
-            size = log.seek(0, os.SEEK_END)
-            log.seek(max(process.begin, size - _LAST_BYTES))
-            text = log.read().decode(errors="replace")
-    except OSError:
-        text = ""
-    lines = [printable(line.rstrip().expandtabs())[:_LONGEST_LINE] for line in text.splitlines() if line.strip()]
-    return lines[-_LAST_LINES:] or ["(it has printed nothing)"]
 
 
 class AbortedEpisodes:

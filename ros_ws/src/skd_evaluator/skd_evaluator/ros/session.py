@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 from skd_sim.options.options import LOCKSTEP
 from skd_sim.ros.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
-from skd_sim.world.episode import counts_in_words
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner
@@ -22,13 +20,11 @@ from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.checks import run_again
 from skd_evaluator.assessment.stages.pipeline import run_stages
-from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.processes import AbortedEpisodes, GraphSetting, log_of
+from skd_evaluator.ros.processes import GraphSetting
 
 if TYPE_CHECKING:
     from skd_evaluator.ros.driving import Watched
     from skd_evaluator.ros.evaluator import Evaluator
-    from skd_evaluator.ros.graph import GraphPool
 
 
 def prepare_ros(options: GraphOptions) -> None:
@@ -53,53 +49,11 @@ def prepare_ros(options: GraphOptions) -> None:
     enter_ros()
 
 
-@contextmanager
-def graph_session(setting: GraphSetting, watched: Watched | None = None) -> Iterator[Evaluator]:
-    """Run one graph and yield its evaluator; all processes are gone afterwards, whatever happened.
+def graph_session(setting: GraphSetting, watched: Watched | None = None) -> AbstractContextManager[Evaluator]:
+    """Run one graph; see `skd_evaluator.ros.graph.running_graph`, which is imported when ROS 2 is there."""
+    from skd_evaluator.ros.graph import running_graph
 
-    Args:
-        setting: what it runs.
-        watched: who takes part as the adversary, and watches.
-
-    Raises:
-        UsageError: a process cannot be started.
-        AssessmentError: the graph cannot go on; says where the logs are.
-    """
-    from skd_evaluator.ros.graph import choose_domain, running_graph  # only here: ROS may be added by `prepare_ros`
-
-    domain = choose_domain()
-    with running_graph(setting, domain, watched=watched) as evaluator:
-        topic = evaluator.resolve_topic_name(setting.options.command_topic)
-        if setting.awaits_car and not evaluator.count_publishers(topic):
-            setting.say(f"waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})")
-        with _telling_of_logs(setting.log_folder, evaluator.failures):
-            yield evaluator
-
-
-def graphs_session(setting: GraphSetting) -> AbstractContextManager[Evaluator | GraphPool]:
-    """Run as many graphs as the options say and yield what runs episodes in them; otherwise as `graph_session`."""
-    return graph_session(setting) if setting.options.graphs == 1 else _several(setting)
-
-
-@contextmanager
-def _several(setting: GraphSetting) -> Iterator[GraphPool]:
-    from skd_evaluator.ros.graph import running_graphs
-
-    failures = AbortedEpisodes(setting.say, setting.log_folder)
-    with _telling_of_logs(setting.log_folder, failures), running_graphs(setting, failures) as pool:
-        yield pool
-
-
-@contextmanager
-def _telling_of_logs(log_folder: Path, failures: AbortedEpisodes) -> Iterator[None]:
-    """Say of an error that ends a campaign what was aborted before, and where the logs are."""
-    try:
-        yield
-    except AssessmentError as error:
-        log = log_of(log_folder, str(error))
-        counts = f"; aborted were {counts_in_words(failures.reasons)}" if failures.reasons else ""
-        error.args = (f"{error}{counts}; log: {log}",)  # whoever catches it goes by its kind
-        raise
+    return running_graph(setting, watched)
 
 
 def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None:
@@ -121,8 +75,7 @@ def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None
         return lambda: nullcontext(evaluator)
     folder = setting.log_folder / "again"
     folder.mkdir(parents=True, exist_ok=True)
-    options = replace(setting.options, graphs=1)
-    return partial(graphs_session, replace(setting, options=options, log_folder=folder, record_to=None, campaign=""))
+    return partial(graph_session, replace(setting, log_folder=folder, record_to=None, campaign=""))
 
 
 def assess_through_graph(
@@ -146,7 +99,7 @@ def assess_through_graph(
         AssessmentError: the graph cannot go on; says where the logs are.
     """
     options = setting.options
-    with graphs_session(setting) as evaluator:
+    with graph_session(setting) as evaluator:
         context = Context(
             kept_by(evaluator),
             InProcessRunner(1),

@@ -43,6 +43,8 @@ _CALLED = {
     Transition.TRANSITION_DEACTIVATE: "deactivate",
     Transition.TRANSITION_CLEANUP: "clean up",
 }
+_STATES = {State.PRIMARY_STATE_UNCONFIGURED: "unconfigured", State.PRIMARY_STATE_INACTIVE: "inactive"}
+_STATES[State.PRIMARY_STATE_ACTIVE] = "active"
 _FIRST_TRANSITION_STATE = State.TRANSITION_STATE_CONFIGURING
 
 
@@ -57,7 +59,6 @@ class LifecycleNodes:
         self,
         context: Context,
         names: Sequence[str],
-        *,
         patience: float,
         check_processes: Callable[[], str | None] = lambda: None,
     ) -> None:
@@ -69,10 +70,8 @@ class LifecycleNodes:
             patience: wall seconds in which each has to be there, and to answer.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
         """
-        self._names = names
-        self._patience = patience
+        self._names, self._patience, self._check_processes = names, patience, check_processes
         self._last_of_all = math.inf
-        self._check_processes = check_processes
         self._node = Node("_skd_lifecycle", context=context, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._node)
@@ -103,27 +102,21 @@ class LifecycleNodes:
             self._node.destroy_node()
 
     def _take_down(self) -> None:
-        states = {name: self._settled(name) for name in self._names}
         for state, transition in _DOWN.items():
             for name in reversed(self._names):
-                if states[name] == state:
+                if self._settled(name) == state:
                     self._do(name, transition)
-                    states[name] = self._settled(name)
-
-    def _latest(self) -> float:
-        return min(time.monotonic() + self._patience, self._last_of_all)
 
     def _settled(self, name: str) -> int:
         """Return in which primary state a node is, or soon will be."""
         latest = self._latest()
         while True:
-            state = self._state(name)
-            if state.id == State.PRIMARY_STATE_FINALIZED:
-                raise _TroubleError(_reason(AbortKind.FAILED, name, "is finalized: it has to be started anew"))
-            if state.id < _FIRST_TRANSITION_STATE:
-                return int(state.id)
-            if time.monotonic() > latest:
-                raise _TroubleError(_reason(AbortKind.NO_ANSWER, name, f"was {state.label} for {self._patience:g} s"))
+            state = self._call(name, self._get[name], GetState.Request(), latest)
+            if state is not None and state.current_state.id < _FIRST_TRANSITION_STATE:
+                if state.current_state.id == State.PRIMARY_STATE_FINALIZED:
+                    raise _TroubleError(_reason(AbortKind.FAILED, name, "is finalized: it has to be started anew"))
+                return int(state.current_state.id)
+            self._look_after(latest, AbortKind.NO_ANSWER, name, "is between two states")
             time.sleep(_WAKE)
 
     def _do(self, name: str, transition: int) -> None:
@@ -131,21 +124,18 @@ class LifecycleNodes:
         request = ChangeState.Request(transition=Transition(id=transition))
         before, latest = self._settled(name), self._latest()
         while True:
-            answer = self._answer(name, self._change[name], request, latest)
+            answer = self._call(name, self._change[name], request, latest)
             if answer is not None and not answer.success:
-                what = f"did not {_CALLED[transition]}; it is {self._state(name).label} now"
+                what = f"did not {_CALLED[transition]}; it is {_STATES[self._settled(name)]} now"
                 raise _TroubleError(_reason(AbortKind.FAILED, name, what))
             if answer is not None or self._settled(name) != before:
                 return
 
-    def _state(self, name: str) -> Any:
-        latest = self._latest()
-        while (answer := self._answer(name, self._get[name], GetState.Request(), latest)) is None:
-            pass
-        return answer.current_state
+    def _latest(self) -> float:
+        return min(time.monotonic() + self._patience, self._last_of_all)
 
-    def _answer(self, name: str, client: Any, request: Any, latest: float) -> Any:
-        """Return a service's answer, or None where it seems to be lost."""
+    def _call(self, name: str, client: Any, request: Any, latest: float) -> Any:
+        """Return a service's answer; None where it seems to be lost."""
         while not client.service_is_ready():
             self._look_after(latest, AbortKind.NOT_STARTED, name, f"is not there: no node offers {client.srv_name}")
             self._executor.spin_once(timeout_sec=_WAKE)
@@ -165,17 +155,13 @@ class LifecycleNodes:
 
 @contextmanager
 def resetting(
-    context: Context,
-    names: Sequence[str],
-    *,
-    patience: float,
-    check_processes: Callable[[], str | None] = lambda: None,
+    context: Context, names: Sequence[str], patience: float, check_processes: Callable[[], str | None] = lambda: None
 ) -> Iterator[Callable[[], str | None]]:
     """Yield what is to be called before each episode; the nodes are taken down at the end. See `LifecycleNodes`."""
     if not names:
         yield lambda: None
         return
-    with closing(LifecycleNodes(context, names, patience=patience, check_processes=check_processes)) as nodes:
+    with closing(LifecycleNodes(context, names, patience, check_processes)) as nodes:
         yield nodes.before_episode
 
 

@@ -13,9 +13,8 @@ over; the last command is held.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame
@@ -23,39 +22,36 @@ from skd_sim.world.episode import AbortKind, Outcome, abort_reason
 from skd_sim.world.timing import NANOSECONDS, CommandAges, period_stamp, stamp_fault
 
 
-class Senders(Protocol):
-    """What the middleware knows of those who may send one kind of command."""
+class Senders:
+    """What is known of those who may send one kind of command; here a part of this process, which is always there."""
 
     def count(self) -> int:
-        """Return how many there are, the dead of the last seconds among them; it is asked often, and cheap."""
+        """Return how many there are, the dead of the last seconds among them; called often, so it has to be cheap."""
+        return 1
 
     def crowd(self) -> str | None:
-        """Return, in words, who they are where several live; none where at most one does."""
-
-    def names(self) -> list[str]:
-        """Return the names of those that live, one that publishes twice twice; it may take a moment."""
+        """Return, in words, which nodes they are where several live; none where at most one does."""
+        return None
 
     def absence(self) -> str:
         """Return why nothing can come, where `count` is 0."""
+        return ""
 
 
 class Source:
-    """One kind of command: who sends it, what was answered to which tick, and what was of no use.
+    """One kind of command: which node sends it, what was answered to which tick, and what was of no use.
 
     Attributes:
         who: name of the sender, for messages.
         topic: topic on which its commands are published.
-        senders: what the middleware knows of those who publish there.
+        senders: what the middleware knows of those that publish there.
         command: command for the coming step; None until it has come.
         has_answered: whether it has ever answered a tick with its stamp.
     """
 
     def __init__(self, who: str, topic: str, senders: Senders) -> None:
         """Begin without any command and without any sender."""
-        self.who = who
-        self.topic = topic
-        self.senders = senders
-        self._alone = f"{who} ({topic})"
+        self.who, self.topic, self.senders = who, topic, senders
         self.has_answered = False
         self.begin()
 
@@ -69,7 +65,12 @@ class Source:
         """Forget what was of no use: a control period is over."""
         self._ignored = self._newest = 0
 
-    def answered(self, stamp: int) -> bool:
+    def ignore(self, stamp: int) -> None:
+        """Take note of a command that is for no tick that is awaited."""
+        self._ignored += 1
+        self._newest = max(self._newest, stamp)
+
+    def has_answer(self, stamp: int) -> bool:
         """Return whether there was an answer with this stamp (ns) already."""
         return stamp in self._answers
 
@@ -78,16 +79,11 @@ class Source:
         self._answers[stamp] = answer
         self.has_answered = True
 
-    def ignore(self, stamp: int) -> None:
-        """Take note of a command that is for no tick that is wanted."""
-        self._ignored += 1
-        self._newest = max(self._newest, stamp)
-
     def contradiction(self, stamp: int, answer: tuple[float, ...], start: int) -> str | None:
         """Return what is wrong with a second answer to a tick, if anything.
 
-        Of two different answers to one tick, it would be chance which one counts. The state of tick 0 is repeated, and
-        so its answer may be repeated, too.
+        Of two different answers it would be chance which one counts. The state of tick 0 is repeated, and so its answer
+        may be repeated, too.
 
         Args:
             stamp: stamp of the tick, ns.
@@ -97,41 +93,37 @@ class Source:
         same = self._answers[stamp] == answer
         if same and stamp == start:
             return None
-        names = self.senders.names()
-        by = f" (it has {len(names)} publishers: {', '.join(names)})" if len(names) > 1 else ""
         how = "with the same command" if same else "with different commands"
-        return abort_reason(
-            AbortKind.SECOND_SENDER,
-            f"{self._alone} answered the tick at {_seconds(stamp - start)} of the episode twice, {how}{by}",
-        )
+        said = f"{self.who} ({self.topic}) answered the tick at {_seconds(stamp - start)} of the episode twice, {how}"
+        return self.crowd() or abort_reason(AbortKind.SECOND_SENDER, said)
 
     def crowd(self) -> str | None:
-        """Return who the senders are where they are several, as a reason; none where there is one, or nobody."""
+        """Return which senders there are where they are several, as a reason; none where there is one at most."""
         crowd = self.senders.crowd()
         return None if crowd is None else abort_reason(AbortKind.SECOND_SENDER, crowd)
 
-    def silence(self, wanted: int, limit: float, tick: int, slowest: float) -> str:
+    def silence(self, awaited: int, limit: float, tick: int, slowest: float) -> str:
         """Return why there is no answer to a tick, as a reason.
 
         Args:
-            wanted: stamp of the tick for which a command is missing, ns.
+            awaited: stamp of the tick for which a command is missing, ns.
             limit: how long the command was waited for, s of wall time.
             tick: number of that tick.
             slowest: longest time that an answer took in this episode, s; 0: not known.
         """
-        silent = f"{self._alone} stayed silent for {limit:g} s at tick {tick}"
+        silent = f"{self.who} ({self.topic}) stayed silent for {limit:g} s at tick {tick}"
         if self._ignored:
             return abort_reason(
                 AbortKind.WRONG_STAMP,
                 f"{silent}: its commands carry other stamps ({self._ignored} came; newest {_seconds(self._newest)}, "
-                f"wanted {_seconds(wanted)}); {stamp_fault(self._newest, wanted)}",
+                f"awaited {_seconds(awaited)}); {stamp_fault(self._newest, awaited)}",
             )
-        if self.senders.count():
-            how = f"; it has answered {len(self._answers)} times before, and hangs" if self._answers else ""
-            if slowest > _SLOW * limit:
-                how = f"; its answers took up to {slowest:.2g} s, it is too slow for -p command_timeout:={limit:g}"
-            return abort_reason(AbortKind.NO_ANSWER, f"{silent}{how}")
-        return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")
+        if not self.senders.count():
+            return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")
+        how = f"; it has answered {len(self._answers)} times before, and hangs" if self._answers else ""
+        if slowest > _SLOW * limit:
+            how = f"; its answers took up to {slowest:.2g} s, it is too slow for -p command_timeout:={limit:g}"
+        return abort_reason(AbortKind.NO_ANSWER, f"{silent}{how}")
 
 
 _SLOW = 0.3  # of the limit
@@ -259,7 +251,7 @@ class Lockstep:
         self._spoken = False  # the car has, since the state now was published
         self.ages.begin()
         self.ages.publish(start, now)
-        return self._refuse_crowds()
+        return self.fail(self._crowd())
 
     def stop(self) -> None:
         """Leave the running episode without a message."""
@@ -306,23 +298,24 @@ class Lockstep:
             self._velocity = None
         if frame.outcome == Outcome.RUNNING:
             return None
-        return self._refuse_crowds() or self._end(frame.outcome, "")
+        return self.fail(self._crowd()) or self._end(frame.outcome, "")
 
-    def fail(self, reason: str) -> End | None:
-        """Abort the running episode, if there is one, for the reason that the simulator gives."""
-        return self._end(Outcome.ABORTED, reason) if self._frame is not None else None
+    def fail(self, reason: str | None) -> End | None:
+        """Abort the running episode, if there are one and a reason."""
+        return self._end(Outcome.ABORTED, reason) if self._frame is not None and reason is not None else None
 
     def watch(self, now: float) -> Repeat | End | None:
         """End the episode if a sender is silent, gone or one too many; to be asked now and then (monotonic time, s)."""
         frame = self._frame
         if frame is None:
             return None
-        if (crowd := self._refuse_crowds()) is not None:
-            return crowd
-        if self._began:
-            return self._refuse_absence(self._car, self._adversary)
-        if self._quiet_time and self._car.command is not None and (gone := self._refuse_absence(self._car)) is not None:
-            return gone
+        # Where commands are held, only a source that is gone altogether can be noticed.
+        held = self._began or (self._quiet_time and self._car.command is not None)
+        sources = (self._car, self._adversary) if self._began else (self._car,)
+        gone = [f"{one.who} (publisher of {one.topic}) is gone" for one in sources if held and one.senders.count() == 0]
+        problem = self._crowd() or (abort_reason(AbortKind.ENDED, gone[0]) if gone else None)
+        if problem is not None or self._began:
+            return self.fail(problem)
         first = frame.tick == 0 and frame.period == 0
         limit = self._limits.startup if first else self._limits.command
         if now - self._progress > limit:
@@ -332,7 +325,7 @@ class Lockstep:
                 source.silence(self.stamp, limit, frame.tick, slowest if source is self._car else 0.0)
                 for source in silent
             ]
-            return self._end(Outcome.ABORTED, " and ".join(reasons))
+            return self.fail(" and ".join(reasons))
         if first and now - self._published > REPEAT_PERIOD:
             self._published = now
             self.ages.publish(self.stamp, now)
@@ -352,7 +345,7 @@ class Lockstep:
         elif stamp < self._start - LEAD:
             self._car.ignore(stamp)
             return None
-        if not _finite(answer):
+        if not all(map(math.isfinite, answer)):
             return self._not_finite(self._car, answer)
         first = self._car.command is None
         self._car.command = answer
@@ -361,9 +354,8 @@ class Lockstep:
         self._spoken |= first or stamp is None or stamp >= self.stamp
         return None if self._waits_for(self._car) or self._waits_for(self._adversary) else self._take(now)
 
-    def _not_finite(self, source: Source, answer: tuple[float, ...]) -> End:
-        said = f"{source.who} commanded {', '.join(map(str, answer))}"
-        return self._end(Outcome.ABORTED, abort_reason(AbortKind.NOT_FINITE, said))
+    def _not_finite(self, source: Source, answer: tuple[float, ...]) -> End | None:
+        return self.fail(abort_reason(AbortKind.NOT_FINITE, f"{source.who} commanded {', '.join(map(str, answer))}"))
 
     def _answer(self, source: Source, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
         if self._frame is None:
@@ -371,15 +363,14 @@ class Lockstep:
         if self._real_time and stamp == 0:
             stamp = None  # which says nothing
         if stamp is not None and not self._real_time and self._start <= stamp <= self.stamp:
-            if source.answered(stamp):
-                problem = source.contradiction(stamp, answer, self._start)
-                return None if problem is None else self._end(Outcome.ABORTED, problem)
+            if source.has_answer(stamp):
+                return self.fail(source.contradiction(stamp, answer, self._start))
             source.note(stamp, answer)
         if stamp is not None and not self._wants(stamp):
             if stamp >= self._start or not source.has_answered:  # else it is late, of the episode before
                 source.ignore(stamp)
             return None
-        if not _finite(answer):
+        if not all(map(math.isfinite, answer)):
             return self._not_finite(source, answer)
         source.command = answer
         if source is self._car:
@@ -418,18 +409,9 @@ class Lockstep:
         self._spoken = False
         return ControlStep(drive[0], self._velocity, *drive[1:])
 
-    def _refuse_crowds(self) -> End | None:
-        """End where more than one node sends one kind of command; to be asked now and then, not at each tick."""
-        problem = self._car.crowd() or self._adversary.crowd()
-        return None if problem is None else self._end(Outcome.ABORTED, problem)
-
-    def _refuse_absence(self, *held: Source) -> End | None:
-        """Where commands are held, only a source that is gone altogether can be noticed."""
-        for source in held:
-            if source.senders.count() == 0:
-                gone = f"{source.who} (publisher of {source.topic}) is gone"
-                return self._end(Outcome.ABORTED, abort_reason(AbortKind.ENDED, gone))
-        return None
+    def _crowd(self) -> str | None:
+        """Return where more than one node sends one kind of command; for now and then, not for each tick."""
+        return self._car.crowd() or self._adversary.crowd()
 
     def _end(self, outcome: Outcome, reason: str) -> End:
         assert self._frame is not None
@@ -441,7 +423,3 @@ class Lockstep:
 def frame_stamp(start: int, frame: Frame, scenario: Scenario) -> int:
     """Return the stamp (ns) of a frame of an episode that starts at `start` (ns)."""
     return period_stamp(start, frame.tick, frame.period, scenario.control_periods, scenario.time_step)
-
-
-def _finite(numbers: Iterable[float]) -> bool:
-    return all(map(math.isfinite, numbers))

@@ -23,7 +23,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, SimulatorOptions, StateOptions, values_of
 from skd_sim.ros.commands import Quantity, car_commands, follow_speed
 from skd_sim.ros.diagnosis import Awaited, Evidence, diagnose
-from skd_sim.ros.discovery import kind_name, publisher_names, second_publisher
+from skd_sim.ros.discovery import kind_name, second_publisher
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
 from skd_sim.ros.lockstep import (
     Action,
@@ -37,7 +37,7 @@ from skd_sim.ros.lockstep import (
     WaitLimits,
     frame_stamp,
 )
-from skd_sim.ros.state_publisher import InitialPose, StatePublisher
+from skd_sim.ros.state_publisher import StatePublisher
 from skd_sim.ros.support import (
     COMMAND,
     EPISODE,
@@ -54,17 +54,18 @@ from skd_sim.ros.to_messages import acceleration_command, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
+from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import Schedule
-from skd_sim.world.world import Contact
 
 SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
+_NOWHERE = Frame(0, CarState(0.0, 0.0, 0.0, 0.0), AdversaryState(0.0, 0.0, 0.0, 0.0))  # of an episode that is refused
 
 
-class _Senders:
-    """Who publishes on a topic of commands, as the middleware sees it; see `command_source.Senders`."""
+class _Publishers(Senders):
+    """Which nodes publish on a topic of commands, as the middleware sees it."""
 
     def __init__(self, node: Node, subscription: Any) -> None:
         self._node, self._subscription = node, subscription
@@ -75,28 +76,9 @@ class _Senders:
     def crowd(self) -> str | None:
         return second_publisher(self._node, self._subscription.topic_name)
 
-    def names(self) -> list[str]:
-        return publisher_names(self._node, self._subscription.topic_name)
-
     def absence(self) -> str:
         awaited = Awaited(self._subscription.topic_name, kind_name(self._subscription.msg_type))
         return diagnose(Evidence(self._node, awaited)).text
-
-
-class _OneSender:
-    """The adversary in this process, which is always there."""
-
-    def count(self) -> int:
-        return 1
-
-    def crowd(self) -> None:
-        return None
-
-    def names(self) -> list[str]:
-        return ["the adversary"]
-
-    def absence(self) -> str:
-        return ""
 
 
 class GraphSimulator:
@@ -125,15 +107,18 @@ class GraphSimulator:
         self._node, self._simulator, self._values = node, simulator, values
         self.on_frame: Callable[[int, Frame], None] = lambda _stamp, _frame: None
         self.on_result: Callable[[EpisodeResult], None] = lambda _result: None
-        self._states = StatePublisher(node, StateOptions(**values_of(StateOptions, values)), clock=clock)
+        self._states = StatePublisher(
+            node, StateOptions(**values_of(StateOptions, values)), clock=clock, initial_pose=values["initial_pose"]
+        )
         self._result = node.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
         self._applied = node.create_publisher(AccelStamped, COMMAND, STREAM)
-        self._initial_pose = InitialPose(node) if values["initial_pose"] else None
         self._lockstep = self._listen_to_commands(alone=alone)
         if alone:
             node.create_subscription(EpisodeMsg, EPISODE, self.begin, LATCHED)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._watch = node.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
+        self._watch = node.create_timer(
+            _WATCH_PERIOD, lambda: self._do(self._lockstep.watch(time.monotonic())), clock=self._steady
+        )
         self._ticker: Any = None
         self._schedule: Schedule | None = None
         self._quiet: Any = None
@@ -160,10 +145,10 @@ class GraphSimulator:
             linear = message.twist.linear
             self.walk(from_stamp(message.header.stamp), (linear.x, linear.y))
 
-        drives: Senders = _Senders(node, node.create_subscription(commands.kind, topic, on_command, STREAM))
-        walks: Senders = _OneSender()
+        drives = _Publishers(node, node.create_subscription(commands.kind, topic, on_command, STREAM))
+        walks = Senders()
         if alone:
-            walks = _Senders(node, node.create_subscription(TwistStamped, VELOCITY_COMMAND, on_velocity, STREAM))
+            walks = _Publishers(node, node.create_subscription(TwistStamped, VELOCITY_COMMAND, on_velocity, STREAM))
         low, high = -values["maximum_deceleration"], values["maximum_acceleration"]
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
         real_time = values["pacing"] == REAL_TIME
@@ -186,7 +171,6 @@ class GraphSimulator:
         self._stop()
         self._message = message
         self._start = from_stamp(message.header.stamp)
-        self._clipped = 0
         self._schedule = None
         try:
             self._episode: EpisodeSpec = message_to_episode(message)
@@ -198,15 +182,13 @@ class GraphSimulator:
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
-        self._states.begin(self._episode, self._start)
-        if self._initial_pose is not None:
-            self._initial_pose.publish(self._frame.car, self._start)
+        self._states.begin(self._episode, self._frame.car, self._start)
         begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
         self._publish_state()
         self._do(begun)
 
     def _refuse(self, reason: str) -> None:
-        self._publish_result(Outcome.ABORTED, 0, self._start, None, reason)
+        self._publish_result(End(Outcome.ABORTED, _NOWHERE, self._start, reason), 0)
 
     def _stop(self) -> None:
         self._lockstep.stop()
@@ -236,9 +218,6 @@ class GraphSimulator:
         self._quiet.cancel()
         self._do(self._lockstep.quiet(time.monotonic()))
 
-    def _on_watch(self) -> None:
-        self._do(self._lockstep.watch(time.monotonic()))
-
     # --- what comes of it
 
     def _do(self, action: Action | None) -> None:
@@ -251,10 +230,14 @@ class GraphSimulator:
         elif isinstance(action, Repeat):
             self._publish_state()
         elif isinstance(action, End):
-            self._end(action)
+            self._publish_result(action, self._simulator.clipped)
+            self._stop()
 
     def _step(self, commands: ControlStep) -> None:
-        acceleration = self._acceleration(commands)
+        acceleration = commands.drive
+        if self._follows is not None:
+            duration, speed = self._episode.scenario.control_duration, self._frame.car.speed
+            acceleration = follow_speed(commands.drive, speed, duration, self._follows, commands.limit)
         if self._applied.get_subscription_count():
             stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
             self._applied.publish(acceleration_command(acceleration, stamp))
@@ -266,13 +249,6 @@ class GraphSimulator:
         end = self._lockstep.advance(self._frame, time.monotonic())
         self._publish_state()
         self._do(end)
-
-    def _acceleration(self, commands: ControlStep) -> float:
-        """Return the acceleration (m/s²) that a command of the car means now."""
-        if self._follows is None:
-            return commands.drive
-        duration = self._episode.scenario.control_duration
-        return follow_speed(commands.drive, self._frame.car.speed, duration, self._follows, commands.limit)
 
     def _publish_state(self) -> None:
         stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
@@ -287,30 +263,20 @@ class GraphSimulator:
 
     # --- results
 
-    def _end(self, end: End) -> None:
-        self._clipped = self._simulator.clipped
-        contact = end.frame.contact if end.outcome == Outcome.COLLISION else None
-        self._publish_result(end.outcome, end.frame.tick, end.stamp, contact, end.reason)
-        self._stop()
-
-    def _publish_result(self, outcome: Outcome, ticks: int, end: int, contact: Contact | None, reason: str) -> None:
-        result = EpisodeResult()
-        result.header.stamp = to_stamp(end)
+    def _publish_result(self, end: End, clipped: int) -> None:
+        result = EpisodeResult(outcome=int(end.outcome), ticks=end.frame.tick, reason=end.reason)
+        result.header.stamp = to_stamp(end.stamp)
         result.header.frame_id = MAP_FRAME
         result.campaign = self._message.campaign
         result.episode_id = int(self._message.episode_id)
         result.start = to_stamp(self._start)
-        result.outcome = int(outcome)
-        result.ticks = ticks
-        result.reason = reason
-        result.commands_clipped = self._clipped
+        result.commands_clipped = clipped
         result.command_ages = array("f", self._lockstep.ages.ages)
         result.commands_held = self._lockstep.ages.held
         result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst
         result.impact_time, result.impact_speed = math.nan, math.nan
-        if contact is not None:
-            frame = Frame(ticks, self._frame.car, self._frame.adversary, contact)
-            result.impact_time, result.impact_speed = frame.impact(self._episode.scenario.time_step)
+        if end.outcome == Outcome.COLLISION:
+            result.impact_time, result.impact_speed = end.frame.impact(self._episode.scenario.time_step)
         if self._result.get_subscription_count():
             self._result.publish(result)
         self.on_result(result)

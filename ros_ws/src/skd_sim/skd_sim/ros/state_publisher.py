@@ -7,9 +7,9 @@ are no movable joints, since nothing is known of the wheels; so no `/joint_state
 
 from __future__ import annotations
 
-import math
-import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
@@ -19,7 +19,7 @@ from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from skd_sim.options.options import FRAMES, MAP_FRAME, Frames, StateOptions
+from skd_sim.options.options import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames, StateOptions
 from skd_sim.ros.support import (
     ADVERSARY_DETECTIONS,
     ADVERSARY_ODOMETRY,
@@ -57,93 +57,95 @@ from skd_sim.world.state import CarState, RoadUserState, Scene
 class StatePublisher:
     """Publishes the states of one episode after another."""
 
-    def __init__(self, node: Node, options: StateOptions, *, clock: bool) -> None:
+    def __init__(self, node: Node, options: StateOptions, *, clock: bool, initial_pose: bool = False) -> None:
         """Make the topics.
 
         Args:
             node: node that publishes.
             options: how the states are published.
             clock: whether `/clock` is among them.
+            initial_pose: whether the car's start pose is among them; a node that subscribes later gets it, too.
         """
         self._frames = Frames(options.odom_frame, options.base_frame, options.laser_frame)
         self._scan_rate = options.scan_rate
         self._with_map = not options.own_localisation
-        self._clock = node.create_publisher(Clock, CLOCK, STREAM) if clock else None
-        self._transform = node.create_publisher(TFMessage, TF, STREAM)
-        self._static_transforms = node.create_publisher(TFMessage, TF_STATIC, LATCHED)
-        self._description = node.create_publisher(String, ROBOT_DESCRIPTION, LATCHED)
-        self._car = node.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
-        self._imu = node.create_publisher(Imu, EGO_IMU, STREAM)
-        self._scan = node.create_publisher(LaserScan, EGO_SCAN, STREAM)
-        self._points = node.create_publisher(PointCloud2, EGO_POINTS, STREAM)
-        self._adversary = node.create_publisher(Odometry, ADVERSARY_ODOMETRY, STREAM)
-        self._detections: Any = None
+        streams: dict[str, Any] = {
+            TF: TFMessage,
+            EGO_IMU: Imu,
+            EGO_SCAN: LaserScan,
+            EGO_POINTS: PointCloud2,
+            EGO_ODOMETRY: Odometry,
+            ADVERSARY_ODOMETRY: Odometry,
+        }
+        latched = {TF_STATIC: TFMessage, ROBOT_DESCRIPTION: String}
+        if clock:
+            streams[CLOCK] = Clock
+        if initial_pose:
+            latched[INITIAL_POSE] = PoseWithCovarianceStamped
         if DETECTIONS is None:
             node.get_logger().info(f"vision_msgs is not installed, so there is no topic {ADVERSARY_DETECTIONS}")
         else:
-            self._detections = node.create_publisher(DETECTIONS, ADVERSARY_DETECTIONS, STREAM)
+            streams[ADVERSARY_DETECTIONS] = DETECTIONS
+        self._streams = {topic: node.create_publisher(kind, topic, STREAM) for topic, kind in streams.items()}
+        self._latched = {topic: node.create_publisher(kind, topic, LATCHED) for topic, kind in latched.items()}
         self._described: tuple[Any, ...] = ()
 
-    def begin(self, episode: EpisodeSpec, stamp: int) -> None:
-        """Begin an episode at a stamp (ns); latched topics are published again if the car has changed."""
-        self._episode = episode
+    def begin(self, episode: EpisodeSpec, car: CarState, stamp: int) -> None:
+        """Begin an episode with the car at its start at a stamp (ns); its looks come again if they have changed."""
+        self._scenario = scenario = episode.scenario
         self._laser: PlanarLaser | None = make_laser(episode)
         self._inertial_unit = InertialUnit()
         self._moved = -1, 0
-        scenario = episode.scenario
-        self._periods = scenario.control_periods
         self._scan_every = 1
         if self._scan_rate:
             self._scan_every = max(1, round(1.0 / (self._scan_rate * scenario.control_duration)))
+        if INITIAL_POSE in self._latched:
+            self._latched[INITIAL_POSE].publish(initial_pose(car, stamp))
         described = (scenario.car, scenario.sensor)
         if described != self._described:
             self._described = described
-            mount = None if scenario.sensor is None else laser_mount(scenario)
-            self._static_transforms.publish(static_transforms(mount, stamp, self._frames, with_map=self._with_map))
-            self._description.publish(String(data=robot_description(scenario, self._frames)))
+            mount = None if scenario.sensor is None else (scenario.sensor.mount_ahead, 0.0, LASER_HEIGHT)
+            fixed = static_transforms(mount, stamp, self._frames, with_map=self._with_map)
+            self._latched[TF_STATIC].publish(fixed)
+            self._latched[ROBOT_DESCRIPTION].publish(String(data=robot_description(scenario, self._frames)))
 
     def tell_time(self, stamp: int) -> None:
         """Publish the clock, ns."""
-        if self._clock is not None and self._clock.get_subscription_count():
-            self._clock.publish(Clock(clock=to_stamp(stamp)))
+        self._send(CLOCK, lambda: Clock(clock=to_stamp(stamp)))
 
     def publish(self, frame: Frame, stamp: int) -> None:
         """Publish a state of the episode at its stamp (ns); it may be published repeatedly."""
-        listeners = self._transform.get_subscription_count()
+        scenario, frames = self._scenario, self._frames
+        listeners = self._streams[TF].get_subscription_count()
         # tf2 complains of a transform that comes twice; a listener that came since then needs it.
-        if listeners and (stamp, listeners) != self._moved:
-            self._transform.publish(scene_to_transforms(frame.scene(self._episode.scenario), stamp, self._frames))
+        if (stamp, listeners) != self._moved:
+            self._send(TF, lambda: scene_to_transforms(frame.scene(scenario), stamp, frames))
         self._moved = stamp, listeners
         inertia = self._inertial_unit.measure(frame.car, stamp)  # of every state, or it would depend on who listens
-        if self._imu.get_subscription_count():
-            self._imu.publish(inertia_to_message(inertia, stamp, self._frames))
-        self._publish_scan(frame, stamp)
-        if self._detections is not None and self._detections.get_subscription_count():
-            scenario = self._episode.scenario
-            self._detections.publish(detections(scenario, frame.scene(scenario), stamp, self._frames.odom))
-        if self._car.get_subscription_count():
-            self._car.publish(car_to_odometry(frame.car, stamp, self._frames))
-        if self._adversary.get_subscription_count():
-            self._adversary.publish(adversary_to_odometry(frame.adversary, stamp))
+        self._send(EGO_IMU, lambda: inertia_to_message(inertia, stamp, frames))
+        if not (frame.tick * scenario.control_periods + frame.period) % self._scan_every:
+            self._publish_scan(frame, stamp)
+        self._send(ADVERSARY_DETECTIONS, lambda: detections(scenario, frame.scene(scenario), stamp, frames.odom))
+        self._send(EGO_ODOMETRY, lambda: car_to_odometry(frame.car, stamp, frames))
+        self._send(ADVERSARY_ODOMETRY, lambda: adversary_to_odometry(frame.adversary, stamp))
 
     def _publish_scan(self, frame: Frame, stamp: int) -> None:
-        if self._laser is None or (frame.tick * self._periods + frame.period) % self._scan_every:
-            return
-        wanted = self._scan.get_subscription_count(), self._points.get_subscription_count()
-        if any(wanted):
+        heard = any(self._streams[topic].get_subscription_count() for topic in (EGO_SCAN, EGO_POINTS))
+        if self._laser is not None and heard:
             scan = self._laser.scan(frame.car, frame.adversary, frame.tick, frame.period)
-            if wanted[0]:
-                self._scan.publish(scan_to_message(scan, stamp, self._frames))
-            if wanted[1]:
-                self._points.publish(scan_to_points(scan, stamp, self._frames))
+            self._send(EGO_SCAN, lambda: scan_to_message(scan, stamp, self._frames))
+            self._send(EGO_POINTS, lambda: scan_to_points(scan, stamp, self._frames))
+
+    def _send(self, topic: str, make: Callable[[], Any]) -> None:
+        publisher = self._streams.get(topic)
+        if publisher is not None and publisher.get_subscription_count():
+            publisher.publish(make())
 
 
 CAR_HEIGHT = 1.5
 """Of the body, m; it is looked at only."""
 LASER_HEIGHT = 0.3
 """Of the scanner above the ground, m: the world is flat, but filters by height take what lies at 0 for the road."""
-
-_LASER_RADIUS, _LASER_LENGTH = 0.05, 0.07  # m
 
 
 def robot_description(scenario: Scenario, frames: Frames = FRAMES) -> str:
@@ -154,51 +156,46 @@ def robot_description(scenario: Scenario, frames: Frames = FRAMES) -> str:
         frames: names of the links.
     """
     car, sensor = scenario.car, scenario.sensor
-    robot = ElementTree.Element("robot", name="car_under_test")
-    middle = (0.5 * (car.front - car.rear), 0.0, 0.5 * CAR_HEIGHT)
-    size = _numbers((car.front + car.rear, car.width, CAR_HEIGHT))
-    _link(robot, frames.base, middle, ("box", {"size": size}), "0.29 0.44 0.65 0.9")
+    body = f'<box size="{car.front + car.rear} {car.width} {CAR_HEIGHT}"/>'
+    middle = f"{0.5 * (car.front - car.rear)} 0.0 {0.5 * CAR_HEIGHT}"
+    parts = [_link(frames.base, middle, body, "0.29 0.44 0.65 0.9")]
     if sensor is not None:
-        shape = {"radius": repr(_LASER_RADIUS), "length": repr(_LASER_LENGTH)}
-        _link(robot, frames.laser, (0.0, 0.0, 0.0), ("cylinder", shape), "0.1 0.1 0.1 1.0")
-        joint = ElementTree.SubElement(robot, "joint", name=f"{frames.laser}_mount", type="fixed")
-        ElementTree.SubElement(joint, "parent", link=frames.base)
-        ElementTree.SubElement(joint, "child", link=frames.laser)
-        ElementTree.SubElement(joint, "origin", xyz=_numbers(laser_mount(scenario)), rpy="0 0 0")
-    ElementTree.indent(robot)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+        base, laser = quoteattr(frames.base), quoteattr(frames.laser)
+        parts.append(_link(frames.laser, "0.0 0.0 0.0", '<cylinder radius="0.05" length="0.07"/>', "0.1 0.1 0.1 1.0"))
+        parts.append(
+            f"""  <joint name={quoteattr(f"{frames.laser}_mount")} type="fixed">
+    <parent link={base}/>
+    <child link={laser}/>
+    <origin xyz="{sensor.mount_ahead} 0.0 {LASER_HEIGHT}" rpy="0 0 0"/>
+  </joint>
+"""
+        )
+    return f'<?xml version="1.0"?>\n<robot name="car_under_test">\n{"".join(parts)}</robot>\n'
 
 
-def laser_mount(scenario: Scenario) -> tuple[float, float, float]:
-    """Return where the laser is in the frame of the car, m; it looks straight ahead.
-
-    Raises:
-        ValueError: the scenario has no sensor.
-    """
-    if scenario.sensor is None:
-        raise ValueError(f"scenario {scenario.name} has no sensor")
-    return scenario.sensor.mount_ahead, 0.0, LASER_HEIGHT
-
-
-def _link(
-    robot: ElementTree.Element,
-    name: str,
-    middle: tuple[float, float, float],
-    shape: tuple[str, dict[str, str]],
-    colour: str,
-) -> None:
-    link = ElementTree.SubElement(robot, "link", name=name)
-    for part in ("visual", "collision"):
-        element = ElementTree.SubElement(link, part)
-        ElementTree.SubElement(element, "origin", xyz=_numbers(middle), rpy="0 0 0")
-        ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), shape[0], shape[1])
-        if part == "visual":
-            material = ElementTree.SubElement(element, "material", name=f"{name}_colour")
-            ElementTree.SubElement(material, "color", rgba=colour)
+def _link(name: str, middle: str, shape: str, colour: str) -> str:
+    origin = f'<origin xyz="{middle}" rpy="0 0 0"/><geometry>{shape}</geometry>'
+    material = f'<material name={quoteattr(f"{name}_colour")}><color rgba="{colour}"/></material>'
+    return f"""  <link name={quoteattr(name)}>
+    <visual>{origin}{material}</visual>
+    <collision>{origin}</collision>
+  </link>
+"""
 
 
-def _numbers(values: tuple[float, float, float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+INITIAL_POSE = "initialpose"
+_DIAGONAL = (0, 7, 35)  # x, y and yaw in a covariance of 6 × 6, row by row
+
+
+def initial_pose(car: CarState, stamp: int) -> PoseWithCovarianceStamped:
+    """Return where the car starts, with a stamp (ns); exact, but a variance of zero would say that it is not known."""
+    message = PoseWithCovarianceStamped()
+    message.header.stamp, message.header.frame_id = to_stamp(stamp), MAP_FRAME
+    message.pose.pose.position.x, message.pose.pose.position.y = car.x, car.y
+    message.pose.pose.orientation = to_orientation(car.heading)
+    for place in _DIAGONAL:
+        message.pose.covariance[place] = COVARIANCE_6[place]
+    return message
 
 
 try:
@@ -208,8 +205,6 @@ except ImportError:  # ROS 2's base installation lacks it
 
 DETECTIONS: type | None = Detection3DArray
 """Type of the messages; none where the package is missing."""
-TRACK = "adversary"
-"""The adversary's id in every message; that of `others[0]` is `other_0`."""
 
 
 def detections(scenario: Scenario, scene: Scene, stamp: int, frame_id: str) -> Any:
@@ -221,7 +216,7 @@ def detections(scenario: Scenario, scene: Scene, stamp: int, frame_id: str) -> A
         stamp: time stamp, ns.
         frame_id: frame in which the states are.
     """
-    found = [_detection(TRACK, scenario.adversary, scene.adversary)]
+    found = [_detection(ADVERSARY_FRAME, scenario.adversary, scene.adversary)]
     for index, (other, state) in enumerate(zip(scenario.others, scene.others, strict=True)):
         found.append(_detection(f"other_{index}", other, state))
     message = Detection3DArray(detections=found)
@@ -242,28 +237,3 @@ def _detection(track: str, body: Body, state: RoadUserState) -> Any:
     result.pose.pose, result.pose.covariance = box, COVARIANCE_6
     detection.results = [result]
     return detection
-
-
-INITIAL_POSE = "initialpose"
-_X, _Y, _YAW = 0, 7, 35  # on the diagonal of a covariance of 6 × 6, row by row
-_VARIANCE = 1e-6  # m² and rad²: it is exact, and zero would say that it is not known
-
-
-class InitialPose:
-    """Publishes where the car starts; a node that subscribes while an episode runs gets it, too."""
-
-    def __init__(self, node: Node) -> None:
-        """Make the topic."""
-        self._publisher = node.create_publisher(PoseWithCovarianceStamped, INITIAL_POSE, LATCHED)
-
-    def publish(self, car: CarState, stamp: int) -> None:
-        """Publish the pose with a stamp (ns)."""
-        message = PoseWithCovarianceStamped()
-        message.header.stamp = to_stamp(stamp)
-        message.header.frame_id = MAP_FRAME
-        pose = message.pose.pose
-        pose.position.x, pose.position.y = car.x, car.y
-        pose.orientation.z, pose.orientation.w = math.sin(0.5 * car.heading), math.cos(0.5 * car.heading)
-        for place in (_X, _Y, _YAW):
-            message.pose.covariance[place] = _VARIANCE
-        self._publisher.publish(message)

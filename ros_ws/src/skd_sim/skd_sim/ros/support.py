@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -21,7 +21,6 @@ from skd_sim.inputs.files import nearest
 from skd_sim.interruption import END_LIMIT, Interruption, end_within
 from skd_sim.options.options import CommandOptions, options_of
 from skd_sim.ros.from_messages import from_stamp
-from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.timing import period_of
 
 CLOCK = "/clock"
@@ -178,18 +177,10 @@ def spin(node: Node, ended: Callable[[], bool] = lambda: False) -> None:
         executor.shutdown()
 
 
-def _worked(node: Node, work: Callable[[Any], int | None] | None, interruption: Interruption) -> int | None:
-    """Return what the work of a node returns; answering messages ends, too, where code of others lost the signal."""
-    if work is not None:
-        return work(node)
-    spin(node, lambda: interruption.came)
-    return None
-
-
 def run_node(
     make: Callable[[], Node],
     args: Sequence[str] | None,
-    work: Callable[[Any], int | None] | None = None,
+    work: Callable[[Any], int] | None = None,
     *,
     interrupted: int = 0,
 ) -> int:
@@ -208,62 +199,46 @@ def run_node(
     code, failed = interrupted, False
     with Interruption() as interruption:
         try:
-            try:
-                rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-                node = make()
-                if not interruption.came:  # numba, for one, may have lost it
-                    code = _worked(node, work, interruption) or 0
-            except ValueError as error:
-                rclpy.logging.get_logger("skd").fatal(str(error))
-                code = 2
-            except AssessmentError as error:
-                rclpy.logging.get_logger("skd").fatal(str(error))
-                code = 1
-            except Exception:
-                # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled, which
-                # is no error of its own.
-                if not interruption.came:
-                    failed = True
-                    raise
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            node = make()
+            if not interruption.came:  # numba, for one, may have lost it
+                if work is not None:
+                    code = work(node)
+                else:
+                    spin(node, lambda: interruption.came)
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
+        except (ValueError, AssessmentError) as error:
+            rclpy.logging.get_logger("skd").fatal(str(error))
+            code = 2 if isinstance(error, ValueError) else 1
+        except Exception:
+            # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled, which is no
+            # error of its own.
+            if not interruption.came:
+                failed = True
+                raise
         finally:
             # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
             interruption.held = True
-            if failed:
-                rclpy.try_shutdown()  # the node goes with the process, when the error is said: its end may hang
-            else:
-                with end_within(END_LIMIT, code):
-                    if node is not None:
-                        node.destroy_node()
-                    rclpy.try_shutdown()
+            with end_within(END_LIMIT, code):
+                if node is not None and not failed:  # else it goes with the process, when the error is said
+                    node.destroy_node()
+                rclpy.try_shutdown()
     return code
 
 
-class _Announced(Protocol):
-    """What a node is told of an episode: the scenario at least."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """In which both move."""
-
-
-_Episode = TypeVar("_Episode", bound=_Announced)
-
-
-class EpisodeFollower(Generic[_Episode]):
+class EpisodeFollower:
     """Hands each message to its tick, and control period, of the current episode.
 
     Attributes:
         episode: the current one, once there is one.
-        announced: the message that announced the one that begins, or has begun, as it was published.
     """
 
     def __init__(
         self,
         node: Node,
-        read: Callable[[Any], _Episode],
-        begin: Callable[[_Episode], None],
+        read: Callable[[Any], Any],
+        begin: Callable[[Any], None],
         at_frame: Callable[[int, int, int, Any], None],
     ) -> None:
         """Subscribe to episodes.
@@ -274,8 +249,7 @@ class EpisodeFollower(Generic[_Episode]):
             begin: called with each new episode; a ValueError from it or from `read` is logged, the episode ignored.
             at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
         """
-        self.episode: _Episode | None = None
-        self.announced: Any = None
+        self.episode: Any = None
         self._start = 0
         self._node, self._read = node, read
         self._begin = begin
@@ -291,7 +265,7 @@ class EpisodeFollower(Generic[_Episode]):
         if self.episode is not None and identity == self._identity:
             return  # said again, because it had not begun everywhere
         self._identity = identity
-        self.announced, self._start = message, start
+        self._start = start
         try:
             episode = self._read(message)
             self._begin(episode)

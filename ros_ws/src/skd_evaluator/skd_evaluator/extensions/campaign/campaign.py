@@ -170,11 +170,11 @@ class Campaign:
         with self._lock:
             self._save()
 
-    def run_graphs(self, progress: Progress, graphs: int) -> None:
-        """Run the cells of the node graph, one after the other, each in `graphs` graphs at a time."""
+    def run_graphs(self, progress: Progress) -> None:
+        """Run the cells of the node graph, one after the other."""
         tell = _overall(self.through_graph, progress)
         for cell in self.through_graph:
-            self._try(cell, partial(self._assess_graph, cell, graphs, tell))
+            self._try(cell, partial(self._assess_graph, cell, tell))
         with self._lock:
             self._save()
 
@@ -201,12 +201,12 @@ class Campaign:
         assessment = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
         self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), None)
 
-    def _assess_graph(self, cell: Cell, graphs: int, tell: Callable[[Cell], Progress]) -> None:
+    def _assess_graph(self, cell: Cell, tell: Callable[[Cell], Progress]) -> None:
         assert cell.graph is not None
         begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
             setting = GraphSetting(
-                options=replace(cell.graph, graphs=graphs),
+                options=cell.graph,
                 car=cell.plan.car,
                 log_folder=logs,
                 simulator=cell.plan.simulator,

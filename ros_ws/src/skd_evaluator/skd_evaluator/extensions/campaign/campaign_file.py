@@ -43,7 +43,7 @@ from skd_evaluator.assessment.options import (
 )
 
 MOST_CELLS = 10_000
-_SCENARIO, _OF_WHOLE = "scenario", "graphs"
+_SCENARIO = "scenario"
 
 
 @dataclass(frozen=True)
@@ -181,8 +181,6 @@ class _Reader:
         if "name" in options:
             raise UsageError(f"{self._path}: unknown key {where}.name: an entry of cars has a name")
         read = read_options(options, str(self._path), *_TABLES, path=where, listed=listed)
-        if _OF_WHOLE in read:
-            raise UsageError(f"{self._path}: {where}.{_OF_WHOLE} is of the whole campaign: skd campaign --{_OF_WHOLE}")
         found = {key: data[key] if key in changes else read[key] for key in data}
         for key in read:
             what = f"{self._path}: {where}.{key}"

@@ -7,7 +7,6 @@ import importlib
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _say_plan(cells, arguments)
     if arguments.resume and arguments.out is None:
         raise UsageError("--resume needs --out: the folder of the campaign to go on with")
-    _prepare_graphs(cells, arguments)
+    _prepare_graphs(cells)
     out = output_path(arguments)
     if arguments.overwrite:
         reads = [path for one in combinations for path in inputs_of({**one.values, "scenario": one.scenario})]
@@ -84,9 +83,9 @@ def _say_resumed(campaign: Campaign, cells: Sequence[Cell], *, quiet: bool) -> N
         )
 
 
-def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> None:
+def _prepare_graphs(cells: Sequence[Cell]) -> None:
     """See that the node graph can be run where a cell needs it."""
-    options = [(replace(cell.graph, graphs=arguments.graphs), cell) for cell in cells if cell.graph is not None]
+    options = [(cell.graph, cell) for cell in cells if cell.graph is not None]
     for one, cell in options:
         try:
             one.check(cell.plan.car)
@@ -116,7 +115,7 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
         for cell in through_graph:
             compile_for_graph(cell.plan, cell.objectives)
         with progress_bar(quiet=arguments.quiet) as progress:
-            campaign.run_graphs(progress, arguments.graphs)
+            campaign.run_graphs(progress)
 
 
 def _threads(arguments: argparse.Namespace) -> int:

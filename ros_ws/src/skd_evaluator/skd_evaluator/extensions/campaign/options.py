@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from skd_evaluator.cli.arguments import (
-    add_count,
     add_max_aborted_argument,
     add_output_arguments,
     add_runner_arguments,
@@ -31,8 +30,6 @@ def add_campaign(commands: Any) -> None:
         "--dry-run", action="store_true", help="only say which assessments there would be, and of how many episodes"
     )
     add_runner_arguments(campaign)
-    graphs = "how many node graphs run at a time, for assessments that say graph: true"
-    add_count(campaign, "--graphs", 1, 16, graphs, default=1)
     add_max_aborted_argument(campaign)
     add_output_arguments(campaign)
     campaign.set_defaults(module="skd_evaluator.extensions.campaign.command")
