@@ -7,10 +7,11 @@ car decides.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def assessment_to_message(assessment: Assessment, campaign: str, stamp: int) -> 
 
 
 class Composed:
-    """Both sides of an episode, through the evaluator's own node."""
+    """Simulator and adversary as objects of the evaluator's process, which speak through its node."""
 
     def __init__(
         self,
@@ -121,53 +122,38 @@ class Composed:
         options: GraphOptions,
         on_frame: Callable[[int, Frame], None],
         on_result: Callable[[Any], None],
+        on_problem: Callable[[AbortKind, str], None],
     ) -> None:
         """Make both.
 
         Args:
-            node: the evaluator, through which they speak with everybody else.
+            node: the evaluator.
             options: how the graph is run.
             on_frame: called with each state and its stamp (ns).
             on_result: called with the result of each episode.
+            on_problem: called with why the episode cannot go on.
         """
-        self._on_frame, self._on_result = on_frame, on_result
+        self._on_frame, self._on_result, self._on_problem = on_frame, on_result, on_problem
         self._simulator = GraphSimulator(node, NamedSimulator(), options.simulator_parameters(), alone=False)
-        self._simulator.on_frame = self._hear_frame
-        self._simulator.on_result = self._hear_result
+        self._simulator.on_frame, self._simulator.on_result = self._hear_frame, self._hear_result
         self._adversary = GraphAdversary(node)
-        self._due: Callable[[], None] | None = None
-        self._problem: str | None = None
+        self._due: tuple[int, int, CarState] | None = None
 
     def begin(self, episode: EpisodeSpec, message: EpisodeMsg) -> None:
-        """Begin an episode, which a message says to others; what goes wrong is said by `problem`."""
-        self._due = self._problem = None
+        """Begin an episode, which a message says to others."""
+        self._due = None
         try:
             self._adversary.begin(episode)
-        except Exception as error:  # an objective may be of somebody else's package
+        except Exception as error:  # an objective may be of another package
             self._fail(error)
         else:
             self._simulator.begin(message)
 
     def work(self) -> None:
         """Let the adversary decide, if it is its turn; to be called when all others have been heard."""
-        due, self._due = self._due, None
-        if due is not None:
-            due()
-
-    def problem(self) -> str | None:
-        """Return why the episode cannot go on, as the reason of an abort; none where it can."""
-        return self._problem
-
-    def _hear_frame(self, stamp: int, frame: Frame) -> None:
-        self._on_frame(stamp, frame)
-        if not frame.period and frame.outcome == Outcome.RUNNING:  # the car decides in between, the adversary does not
-            self._due = partial(self._decide, frame.tick, stamp, frame.car)
-
-    def _hear_result(self, result: Any) -> None:
-        self._due = None  # nobody waits for an answer to the last state
-        self._on_result(result)
-
-    def _decide(self, tick: int, stamp: int, car: CarState) -> None:
+        if self._due is None:
+            return
+        (tick, stamp, car), self._due = self._due, None
         try:
             velocity = self._adversary.answer(tick, stamp, car)
         except Exception as error:
@@ -178,7 +164,16 @@ class Composed:
 
     def _fail(self, error: Exception) -> None:
         said = str(error).partition("\n")[0]
-        self._problem = abort_reason(AbortKind.FAILED, f"adversary: {type(error).__name__}: {said}")
+        self._on_problem(AbortKind.FAILED, f"adversary: {type(error).__name__}: {said}")
+
+    def _hear_frame(self, stamp: int, frame: Frame) -> None:
+        self._on_frame(stamp, frame)
+        if not frame.period and frame.outcome == Outcome.RUNNING:  # the car decides in between, the adversary does not
+            self._due = frame.tick, stamp, frame.car
+
+    def _hear_result(self, result: Any) -> None:
+        self._due = None  # the last state needs no answer
+        self._on_result(result)
 
 
 _PLAIN = CommandOptions()
@@ -192,7 +187,7 @@ _OURS = (EPISODE, EPISODE_RESULT, EGO_ODOMETRY, ADVERSARY_ODOMETRY)  # topics on
 
 
 class Evaluator(GraphNode):
-    """Runs episodes through the graph; an `Runner`.
+    """Runs episodes through the graph; a `Runner`.
 
     Attributes:
         failures: what is known of the episodes that were aborted, from `begin_campaign` on.
@@ -230,7 +225,7 @@ class Evaluator(GraphNode):
         self._figures, self._health = LiveFigures(self), Health(self)
         self._composed: Composed | None = None
         if composed is not None:
-            self._composed = Composed(self, composed, self._on_frame, self._on_result)
+            self._composed = Composed(self, composed, self._on_frame, self._on_result, self._refuse)
 
     def begin_campaign(
         self,
@@ -256,35 +251,34 @@ class Evaluator(GraphNode):
             silence_limit: wall seconds without any sign of the simulator after which an episode is aborted.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
             before_episode: called before each episode; returns why it cannot begin, as the reason of an abort.
-            after_silence: called with the reason when an episode was aborted because somebody did not answer.
+            after_silence: called with the reason when an episode was aborted because a node did not answer.
             commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: whether the simulator is SKD's own, so that all that follows from an episode's seed has to agree.
             anew: whether the car under test is started anew for each episode, so that each is like a first one.
             answers_each_state: whether every state gets a command with its stamp, for which a recording waits longer;
-                else a command without a stamp is one as well. None: nobody knows.
+                else a command without a stamp is one as well. None: it is not known.
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
         """
         say = say or self._warn
         self.failures = AbortedEpisodes(say, log_folder)
+        self._campaign, self._silence_limit = campaign, silence_limit
+        self._check_processes, self._before_episode, self._after_silence = (
+            check_processes,
+            before_episode,
+            after_silence,
+        )
+        self._own_world, self._anew = own_world, anew
         driven = car_commands(commands)
         self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
-        awaited = (Awaited(self._drive_topic, kind_name(driven.kind)), Awaited(walk_topic, kind_name(TwistStamped)))
-        self._first_commands = FirstCommands(
-            self, awaited[: 1 if self._composed else 2], say, by_stamp=answers_each_state is not False
-        )
-        self._campaign = campaign
-        self._silence_limit = silence_limit
-        self._check_processes = check_processes
-        self._before_episode = before_episode
-        self._after_silence = after_silence
-        self._own_world, self._anew = own_world, anew
-        records = record_to is not None
-        if self._composed is None or records:
+        awaited = [Awaited(self._drive_topic, kind_name(driven.kind))]
+        if self._composed is None:
+            awaited.append(Awaited(walk_topic, kind_name(TwistStamped)))
+            self._listen(EPISODE_RESULT, EpisodeResult, self._on_result)
+        self._first_commands = FirstCommands(self, awaited, say, by_stamp=answers_each_state is not False)
+        if self._composed is None or record_to is not None:
             self._listen(EGO_ODOMETRY, Odometry, self._on_car)
             self._listen(ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
-        if self._composed is None:
-            self._listen(EPISODE_RESULT, EpisodeResult, self._on_result)
         if record_to is not None:
             self._listen(CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
             self._listen(commands.command_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
@@ -339,29 +333,29 @@ class Evaluator(GraphNode):
 
     def _add_car(self, stamp: int, car: CarState) -> None:
         if stamp >= self._key.start:
-            try:
+            with self._no_contradiction("car", EGO_ODOMETRY, stamp):
                 self._samples.add_car(stamp, car)
-            except UsageError as error:
-                raise self._contradiction("car", EGO_ODOMETRY, stamp) from error
-            self._figures.take_car(stamp, car)
+            self._figures.take(stamp, car)
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
 
     def _add_adversary(self, stamp: int, adversary: AdversaryState) -> None:
         if stamp >= self._key.start:
-            try:
+            with self._no_contradiction("adversary", ADVERSARY_ODOMETRY, stamp):
                 self._samples.add_adversary(stamp, adversary.x, adversary.y)
-            except UsageError as error:
-                raise self._contradiction("adversary", ADVERSARY_ODOMETRY, stamp) from error
-            self._figures.take_adversary(stamp, adversary)
+            self._figures.take(stamp, adversary)
 
-    def _contradiction(self, whose: str, topic: str, stamp: int) -> AssessmentError:
-        self._require_alone()
-        at = (stamp - self._key.start) / NANOSECONDS
-        return AssessmentError(
-            f"two different states of the {whose} came for {at:.3f} s of the episode: another node, which is gone, has "
-            f"published {self.resolve_topic_name(topic)}, or the simulator contradicts itself"
-        )
+    @contextmanager
+    def _no_contradiction(self, whose: str, topic: str, stamp: int) -> Iterator[None]:
+        try:
+            yield
+        except UsageError as error:
+            self._require_alone()
+            at = (stamp - self._key.start) / NANOSECONDS
+            raise AssessmentError(
+                f"two different states of the {whose} came for {at:.3f} s of the episode: another node, which is gone, "
+                f"has published {self.resolve_topic_name(topic)}, or the simulator contradicts itself"
+            ) from error
 
     def _on_result(self, message: EpisodeResult) -> None:
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
@@ -376,7 +370,7 @@ class Evaluator(GraphNode):
                     self._recorder.keep(name, EpisodeResult, self._result[1], data)
 
     def give_up(self, reason: str) -> None:
-        """Abort the running episode, whose end nobody waits for; to be called while it waits."""
+        """Abort the running episode, whose end is not waited for; to be called while it waits."""
         self._refuse(AbortKind.OTHER, reason)
 
     def _refuse(self, kind: AbortKind, why: str) -> None:
@@ -405,7 +399,7 @@ class Evaluator(GraphNode):
         recorder = self._recorder if self._recorder is not None and self._recorder.takes(episode) else None
         first = recorder is not None and (self._anew or self._next_start == NANOSECONDS)
         self._find_publishers(max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY)
-        self._look_after_processes()  # what died since the last episode is no fault of this one
+        self._check_processes()  # what died since the last episode is no fault of this one
         self._require_alone()
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
@@ -418,16 +412,16 @@ class Evaluator(GraphNode):
         if self._recorder is not None:  # it forgets the last episode, whether this one is to be kept or not
             self._recorder.begin(self._key, latest_end)
         specification = episode_to_message(episode, self._campaign, start)
-        self._heard = time.monotonic()
+        self._heard = self._looked = time.monotonic()
         if problem is None:
             self._announce(episode, specification)
             self._first_commands.begin(start, senses=episode.scenario.sensor is not None)
-            problem = self._wait(episode, start, specification)
+            problem = self._wait(episode, specification)
             self._first_commands.end()
-        problem = self._refute(episode, start) or problem
-        if self._result is None:
-            end = self._newest()
-            result = EpisodeEnd(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
+        problem = self._refused or problem or self._refuted(episode)
+        if problem or self._result is None:
+            self._result, end = None, self._newest()
+            result = EpisodeEnd(Outcome.ABORTED, self._complete_ticks(episode), math.nan, math.nan, problem)
         else:
             result, stamp = self._result
             if recorder is not None:
@@ -440,7 +434,7 @@ class Evaluator(GraphNode):
         log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
         if recorder is not None:
             recorder.write(specification, log, self._samples, result, end, unsaid=self._result is None)
-        self._health.publish([log.reason] if log.reason else [], self._facts(episode))
+        self._publish_health([log.reason] if log.reason else [])
         if kind_of(log.reason) == AbortKind.NO_ANSWER:
             self._after_silence(log.reason)
         return log
@@ -452,16 +446,13 @@ class Evaluator(GraphNode):
         seconds to start would lack its first commands. Of a controller that has just been started anew, the messages of
         the one before do not count.
         """
-        looked = time.monotonic()
-        latest = looked + patience
+        latest = time.monotonic() + patience
         while time.monotonic() < latest and not (
             all(one.get_publisher_count() for one in self._streams)
             and (not self._anew or living_publishers(self, self._drive_topic))
         ):
             self._spin(0.01)
-            if time.monotonic() - looked > _WAKE:
-                looked = time.monotonic()
-                self._look_after_processes()
+            self._check_processes()
 
     def _announce(self, episode: EpisodeSpec, specification: EpisodeMsg) -> None:
         self._published = time.monotonic()
@@ -475,55 +466,54 @@ class Evaluator(GraphNode):
         if self._composed is not None:
             self._composed.work()
 
-    def _refute(self, episode: EpisodeSpec, start: int) -> str | None:
-        """Take back a result that its states contradict, and return the reason; none where it can have happened."""
-        if self._result is None:
-            return None
-        result = self._result[0]
-        problem = self._refused
-        if problem is None and self._samples.missing(episode, start, result) == 0:
-            problem = refuted(self._samples.log(episode, start, result), own_world=self._own_world)
-        if problem is not None:
-            self._result = None
-        return problem
+    def _missing(self, episode: EpisodeSpec) -> int:
+        """Return how many states of the episode, whose result is there, have not come."""
+        assert self._result is not None
+        return self._samples.missing(episode, self._key.start, self._result[0])
+
+    def _refuted(self, episode: EpisodeSpec) -> str:
+        """Return why a result contradicts its states; empty where it can have happened."""
+        if self._result is None or self._missing(episode):
+            return ""
+        return refuted(self._samples.log(episode, self._key.start, self._result[0]), own_world=self._own_world) or ""
 
     def _newest(self) -> int:
         return max([self._key.start, *self._samples.car, *self._samples.adversary])
 
-    def _complete_ticks(self, episode: EpisodeSpec, start: int) -> int:
+    def _complete_ticks(self, episode: EpisodeSpec) -> int:
         """Return the last tick up to which every state has come."""
-        step = episode.scenario.time_step
-        ticks = 0
-        while all(tick_stamp(start, ticks + 1, step) in side for side in (self._samples.car, self._samples.adversary)):
-            ticks += 1
-        return ticks
+        there = self._samples.car.keys() & self._samples.adversary.keys()
+        stamps = (tick_stamp(self._key.start, tick, episode.scenario.time_step) for tick in itertools.count(1))
+        return sum(1 for _ in itertools.takewhile(there.__contains__, stamps))
 
-    def _wait(self, episode: EpisodeSpec, start: int, specification: EpisodeMsg) -> str:
+    def _wait(self, episode: EpisodeSpec, specification: EpisodeMsg) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         while True:
             self._spin(_WAKE)
             now = time.monotonic()
             if self._refused is not None:
-                self._result = None
                 return self._refused
             if self._result is not None:
-                result = self._result[0]
-                aborted_long_ago = result.outcome == Outcome.ABORTED and now - self._ended > SETTLE
-                if aborted_long_ago or self._samples.missing(episode, start, result) == 0:
+                aborted_long_ago = self._result[0].outcome == Outcome.ABORTED and now - self._ended > SETTLE
+                if aborted_long_ago or self._missing(episode) == 0:
                     return ""
             if now - self._looked < _WAKE:
                 continue
+            self._looked = now
             if len(self._samples.car) >= 2:
                 self._first_commands.end()
             else:
                 self._first_commands.look(state_came=bool(self._samples.car))
                 if self._composed is None and now - self._published > _REPEAT:
                     self._announce(episode, specification)
-            self._health.publish(self._first_commands.reasons, self._facts(episode))
-            problem = self._look_after_processes()
+            self._publish_health(self._first_commands.reasons)
+            problem = self._check_processes()
             self._require_alone()
             if problem is None and self._result is not None and now - max(self._heard, self._ended) > _LOST:
-                problem = self._lost(episode, start, self._result[0])
+                lost, count = self._missing(episode), 2 * (self._result[0].ticks + 1)
+                said = f"the episode ended, and {lost} of its {count} states have not come {_LOST:g} s later"
+                why = "this machine has too much to do, or the network loses messages"
+                problem = abort_reason(AbortKind.LOST, f"{said}: {why}")
             if problem is None and now - self._heard > self._silence_limit:
                 said = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
                 problem = abort_reason(AbortKind.NO_ANSWER, said)
@@ -531,21 +521,20 @@ class Evaluator(GraphNode):
                 latest = now + SETTLE
                 while time.monotonic() < latest:  # what was sent before it happened belongs to the episode
                     self._spin(SETTLE)
-                self._result = None
                 return problem
 
-    def _facts(self, episode: EpisodeSpec) -> dict[str, object]:
-        """Return what /diagnostics says of the campaign and its episode."""
-        return {
+    def _publish_health(self, reasons: Sequence[str]) -> None:
+        facts = {
             "campaign": self._campaign,
-            "episode": episode.episode_id,
-            "mode": episode.mode.name.lower(),
+            "episode": self._episode.episode_id,
+            "mode": self._episode.mode.name.lower(),
             "states of the car": len(self._samples.car),
             "aborted episodes": len(self.failures.reasons),
         }
+        self._health.publish(reasons, facts)
 
     def _require_alone(self) -> None:
-        """Refuse a graph with a second evaluator or simulator: nobody could say whose episode it runs.
+        """Refuse a graph with a second evaluator or simulator: it could not be said whose episode it runs.
 
         Raises:
             AssessmentError: with the names of both.
@@ -554,18 +543,8 @@ class Evaluator(GraphNode):
             if (several := second_publisher(self, topic)) is not None:
                 raise AssessmentError(f"{several}; end all but one")
 
-    def _lost(self, episode: EpisodeSpec, start: int, result: EpisodeEnd) -> str:
-        lost, count = self._samples.missing(episode, start, result), 2 * (result.ticks + 1)
-        said = f"the episode ended, and {lost} of its {count} states have not come {_LOST:g} s later"
-        return abort_reason(AbortKind.LOST, f"{said}: this machine has too much to do, or the network loses messages")
-
-    def _look_after_processes(self) -> str | None:
-        self._looked = time.monotonic()
-        composed = self._composed.problem() if self._composed is not None else None
-        return " and ".join(filter(None, (self._check_processes(), composed))) or None
-
     def publish_assessment(self, assessment: Assessment) -> None:
-        """Publish an assessment, latched, and see that it reaches who listens."""
+        """Publish an assessment, latched, and see that it reaches its subscribers."""
         self._assessment_publisher.publish(assessment_to_message(assessment, self._campaign, self._next_start))
         self._assessment_publisher.wait_for_all_acked(Duration(seconds=1))
 
@@ -587,9 +566,7 @@ def refuted(log: EpisodeLog, *, own_world: bool) -> str | None:
     verdict = examine(log)
     if verdict.fault:
         return abort_reason(AbortKind.REFUTED, f"the episode {verdict.fault}")
-    if own_world and is_own_world(log.episode.simulator) and not verdict.ours:
-        return abort_reason(
-            AbortKind.REFUTED,
-            f"{verdict.where} does not follow from the episode's other states (by {verdict.deviation:.3g})",
-        )
-    return None
+    if verdict.ours or not (own_world and is_own_world(log.episode.simulator)):
+        return None
+    said = f"{verdict.where} does not follow from the episode's other states (by {verdict.deviation:.3g})"
+    return abort_reason(AbortKind.REFUTED, said)

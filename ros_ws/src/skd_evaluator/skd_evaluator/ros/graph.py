@@ -136,7 +136,7 @@ def free_domain() -> int:
         UsageError: there is none.
     """
     if _idle:
-        return next(iter(_idle))
+        return min(_idle)
     for domain in random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN):
         if _reserve(domain) and not is_in_use(domain):
             return domain

@@ -193,16 +193,13 @@ class LiveFigures:
         self._cars: dict[int, CarState] = {}
         self._adversaries: dict[int, AdversaryState] = {}
 
-    def take_car(self, stamp: int, car: CarState) -> None:
-        """Take a state of the car, stamped in ns."""
+    def take(self, stamp: int, state: CarState | AdversaryState) -> None:
+        """Take a state of the car or the adversary, stamped in ns; publish when both of a moment are there."""
         if self._onlooker is not None:
-            self._cars[stamp] = car
-            self._publish(stamp)
-
-    def take_adversary(self, stamp: int, adversary: AdversaryState) -> None:
-        """Take a state of the adversary, stamped in ns."""
-        if self._onlooker is not None:
-            self._adversaries[stamp] = adversary
+            if isinstance(state, CarState):
+                self._cars[stamp] = state
+            else:
+                self._adversaries[stamp] = state
             self._publish(stamp)
 
     def _publish(self, stamp: int) -> None:
