@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from skd_evaluator.assessment.options import CampaignOptions
+from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions
 from skd_evaluator.cli.commands import make_parser
 from skd_sim.options.options import SimulatorOptions, options_of
 
@@ -23,14 +23,14 @@ NODES = {  # node → package, module
     "adversary": ("skd_adversary", "skd_adversary.ros.adversary_node"),
     "evaluator": ("skd_evaluator", "skd_evaluator.ros.evaluator_node"),
 }
+STEERING = {"use_builtin_controller", "params_file", "rviz", "end_launch"}  # arguments that change the launch itself
 ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.ros.carla_bridge")}  # no launch file starts the last
 
 
 def settings(node: str) -> dict[str, Any]:
     """Return the parameters that a node declares, by name."""
-    module = importlib.import_module(ALL_NODES[node][1])
-    declared = module.SIMULATOR_SETTINGS if node == "vehicle_simulator" else module._SETTINGS
-    return {setting.name: setting for setting in declared}
+    tables = importlib.import_module(ALL_NODES[node][1]).TABLES
+    return {one.name: one for table in tables for one in options_of(table)}
 
 
 def defaults_on_file(node: str) -> dict[str, Any]:
@@ -75,14 +75,9 @@ def check_command(line: str) -> None:
             check_parameters(words[1], words[2:])
     elif words[:2] == ["ros2", "launch"] and words[2].startswith("skd_"):
         assert (SOURCE / words[2] / "launch" / words[3]).is_file()
-        source = (SOURCE / words[2] / "launch" / words[3]).read_text(encoding="utf-8")
-        source += (SOURCE / words[2] / words[2] / "ros" / "launch_support.py").read_text(encoding="utf-8")
-        options = (*options_of(CampaignOptions), *options_of(SimulatorOptions))
-        table = {one.name for one in options if words[3].split(".")[0] in one.launches}
-        for argument in words[4:]:
-            assert argument.split(":=")[0] in table or re.search(
-                rf'Argument\(\s*"{argument.split(":=")[0]}"', source
-            ), argument
+        tables = (TaskOptions, CampaignOptions, EvaluatorOptions, SimulatorOptions)
+        names = {one.name for table in tables for one in options_of(table) if words[3].split(".")[0] in one.launches}
+        assert {argument.split(":=")[0] for argument in words[4:]} <= names | STEERING
     elif words[0] in ("scripts/skd", "scripts/assess-controller", "scripts/replay-logs") and words[1:] != ["--version"]:
         command = {"scripts/assess-controller": ["assess"], "scripts/replay-logs": ["replay"]}.get(words[0], [])
         options = words[1 : words.index("--")] if "--" in words else words[1:]

@@ -10,14 +10,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from packaging_support import NODES, SOURCE, settings
+from packaging_support import NODES, SOURCE, STEERING, settings
 
 LAUNCH = SOURCE / "skd_evaluator" / "launch"
 OWN = {
     "episode": {"mode", "trial"},
     "assessment": {"safe_count", "kamikaze_count", "collision_runs", "maximum_distance"},
 }
-STEERING = {"use_builtin_controller", "params_file", "rviz", "end_launch"}
 
 
 class Action:
@@ -83,20 +82,19 @@ def started(task: str, **given: str) -> tuple[dict[str, Any], list[Any]]:
 
 @pytest.mark.parametrize("task", OWN)
 def test_arguments_set_parameters_that_exist(support, task):
-    *declared, run = description(task).arguments[0]
-    _, arguments = run.args
-    assert [argument.arguments[0] for argument in declared] == [argument.name for argument in arguments]
+    *declared, _ = description(task).arguments[0]
+    arguments = support.arguments_of(task)
+    assert [argument.arguments[0] for argument in declared] == list(arguments)
     assert all(argument.description for argument in declared)
-    names = {argument.name for argument in arguments}
-    assert OWN[task] <= names
-    assert {argument.name for argument in arguments if not argument.nodes} == STEERING
-    for argument in arguments:
-        for node in argument.nodes:
-            setting = settings(node)[argument.name]
-            assert argument.default == setting.default, argument.name
-            assert type(argument.default) is type(setting.default), argument.name
-            assert argument.choices == setting.choices, argument.name
-            assert {type(choice) for choice in argument.choices} <= {str}, "shown as they are written"
+    assert OWN[task] <= set(arguments)
+    assert {name for name, (_, nodes) in arguments.items() if not nodes} == STEERING
+    for name, (argument, nodes) in arguments.items():
+        for node in nodes:
+            setting = settings(node)[name]
+            assert argument.plain_default == setting.plain_default, name
+            assert type(argument.plain_default) is type(setting.plain_default), name
+            assert argument.texts == setting.texts, name
+            assert {type(choice) for choice in argument.texts} <= {str}, "shown as they are written"
 
 
 @pytest.mark.parametrize("task", OWN)

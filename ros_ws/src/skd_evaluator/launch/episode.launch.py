@@ -1,15 +1,9 @@
 """One episode through the node graph: `ros2 launch skd_evaluator episode.launch.py --show-args`."""
 
 from launch import LaunchDescription
-from skd_evaluator.ros.launch_support import Argument, graph_description
+from skd_evaluator.ros.launch_support import graph_description
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the launch of one episode."""
-    return graph_description(
-        "episode",
-        (
-            Argument("mode", "kamikaze", "what the adversary does", choices=("safe", "kamikaze", "replay")),
-            Argument("trial", 0, "which trial of the campaign the episode is"),
-        ),
-    )
+    return graph_description("episode")

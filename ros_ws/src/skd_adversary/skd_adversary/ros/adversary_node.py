@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
-from skd_sim.options.options import MAP_FRAME
+from skd_sim.options.options import MAP_FRAME, option
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_car
 from skd_sim.ros.support import (
     BELIEVED_CAR,
@@ -19,7 +20,6 @@ from skd_sim.ros.support import (
     VELOCITY_COMMAND,
     EpisodeFollower,
     GraphNode,
-    NodeParameter,
     declare,
     run_node,
 )
@@ -31,7 +31,15 @@ from skd_sim.world.state import CarState
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_adversary.warm_up import warm_up_episodes
 
-_SETTINGS = (NodeParameter("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
+
+@dataclass(frozen=True)
+class _AdversaryOptions:
+    """The table of the node's parameters."""
+
+    warm_up: bool = option(True, "load the compiled planner at the start rather than in the first episode")
+
+
+TABLES = (_AdversaryOptions,)
 
 
 class GraphAdversary:
@@ -99,7 +107,7 @@ class AdversaryNode(GraphNode):
             node_arguments: further arguments of `rclpy.node.Node`.
         """
         super().__init__("adversary", **node_arguments)
-        if declare(self, _SETTINGS)["warm_up"] and make is make_adversary:
+        if declare(self, *TABLES)["warm_up"] and make is make_adversary:
             warm_up()
         self.adversary = GraphAdversary(self, make=make)
         self._follower = EpisodeFollower(self, message_to_episode, self._on_begin, self._on_frame)

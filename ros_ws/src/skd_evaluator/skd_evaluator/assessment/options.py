@@ -8,6 +8,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.options.options import (
+    LAUNCHES,
     LOCKSTEP,
     CommandOptions,
     EpisodeOptions,
@@ -147,6 +148,40 @@ class EvaluatorOptions(CommandOptions):
         metavar="NAMES",
         unset="none",
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions:
+    """The table of what the evaluator's node does before it ends."""
+
+    task: str = option("assessment", "what to do before the node ends", choices=Names(LAUNCHES), launches=())
+    mode: str = option(
+        "kamikaze",
+        "what the adversary does (task episode)",
+        choices=Names(("safe", "kamikaze", "replay")),
+        launches=("episode",),
+    )
+    trial: int = option(
+        0, "which trial of the campaign to run (task episode)", low=0, high=2**32 - 1, launches=("episode",)
+    )
+    scenario: str = option("", "name of a scenario, or a YAML file", unset="the one that suits the safe trajectories")
+    max_aborted: float = option(
+        100.0 * MAXIMUM_ABORTED,
+        "percentage of the episodes that may be aborted before the assessment counts as failed",
+        low=0.0,
+        high=100.0,
+        launches=(),
+    )
+    silence_limit: float = option(
+        120.0,
+        "an episode ends after this many seconds of the wall clock without a message of the simulator",
+        low=1.0,
+        high=3600.0,
+        launches=(),
+    )
+    record: bool = option(True, "keep a recording (a bag) of every episode")
+    out: str = option("", "folder for the results", unset="skd_results/<task>-<time> in the working folder")
+    overwrite: bool = option(False, "replace the results in out")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from skd_sim.interruption import SIGNALS
 from skd_sim.options.adversary import AdversaryModel, objectives_named
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import CommandOptions, options_of, values_of
-from skd_sim.ros.support import NodeParameter, declare, run_node, settings_of
+from skd_sim.ros.support import declare, run_node
 from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.assessment import Assessment
@@ -34,7 +34,7 @@ from skd_evaluator.assessment.from_options import (
     scenario_for,
     with_requested_period,
 )
-from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, managed_nodes
+from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions, managed_nodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
 from skd_evaluator.assessment.stages.car_model import learned
@@ -55,33 +55,8 @@ from skd_evaluator.ros.processes import campaign_name
 from skd_evaluator.ros.stack import resetting
 
 _INTERRUPTED = 130
-_SETTINGS = (
-    NodeParameter("task", "assessment", "what to do before the node ends", choices=("assessment", "episode")),
-    NodeParameter("mode", "kamikaze", "what the adversary does (task episode)", choices=("safe", "kamikaze", "replay")),
-    NodeParameter("trial", 0, "which trial of the campaign to run (task episode)", 0, 2**32 - 1),
-    *settings_of(CampaignOptions),
-    *settings_of(EvaluatorOptions),  # of its commands: the same as the simulator's, for the record
-    NodeParameter(
-        "scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"
-    ),
-    NodeParameter(
-        "max_aborted",
-        5.0,
-        "percentage of the episodes that may be aborted before the assessment counts as failed",
-        0.0,
-        100.0,
-    ),
-    NodeParameter(
-        "silence_limit",
-        120.0,
-        "an episode ends after this many seconds of the wall clock without a message of the simulator",
-        1.0,
-        3600.0,
-    ),
-    NodeParameter("record", True, "keep a recording (a bag) of every episode"),
-    NodeParameter("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
-    NodeParameter("overwrite", False, "replace the results in out"),
-)
+TABLES = (TaskOptions, CampaignOptions, EvaluatorOptions)
+"""Of its parameters; those of the car's commands are the same as the simulator's, for the record."""
 
 
 class EvaluatorProcess(Evaluator):
@@ -90,7 +65,7 @@ class EvaluatorProcess(Evaluator):
     def __init__(self) -> None:
         """Declare parameters and check what can be checked before any work."""
         super().__init__()
-        self._settings = declare(self, _SETTINGS)
+        self._settings = declare(self, *TABLES)
         values = self._settings
         scenario = scenario_for(values["scenario"], values["safe"])
         self._objectives = objectives_named(values["objective"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,107 +16,81 @@ from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
-from skd_sim.options.options import SimulatorOptions, options_of
+from skd_sim.options.options import Option, SimulatorOptions, option, options_of
+from skd_sim.ros.support import descriptor_of
 
-from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions
+from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions
 
 SIMULATOR, EVALUATOR = "vehicle_simulator", "evaluator"
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
 @dataclass(frozen=True)
-class Argument:
-    """A launch argument.
+class _LaunchOptions:
+    """The table of the arguments that change the launch itself."""
 
-    Attributes:
-        name: name of the argument, and of the parameter that it sets, where it sets one.
-        default: value by default, whose type is that of the argument.
-        description: what the argument means, with its unit.
-        nodes: nodes whose parameter it sets; none: it changes the launch itself.
-        choices: texts allowed; any by default.
+    use_builtin_controller: bool = option(True, "false: the car under test is a node that you start yourself")
+    params_file: str = option("", "YAML file with parameters of any of the nodes; they win over the other arguments")
+    rviz: bool = option(False, "show the crossing in RViz")
+    end_launch: bool = option(True, "the launch ends with the evaluator, and fails with it or with another node")
+
+
+TABLES: dict[str, tuple[Callable[..., Any], ...]] = {
+    EVALUATOR: (TaskOptions, CampaignOptions, EvaluatorOptions),
+    SIMULATOR: (SimulatorOptions,),
+    "": (_LaunchOptions,),
+}
+"""By the node whose parameters the arguments set; without one: the launch itself."""
+
+
+def arguments_of(task: str) -> dict[str, tuple[Option, tuple[str, ...]]]:
+    """Return the arguments of a task's launch file by name: the option, and the nodes whose parameter it sets."""
+    found: dict[str, tuple[Option, tuple[str, ...]]] = {}
+    for node, tables in TABLES.items():
+        for one in (one for table in tables for one in options_of(table) if task in one.launches):
+            found[one.name] = one, (*found.get(one.name, (one, ()))[1], *filter(None, [node]))
+    return found
+
+
+def _declaration(one: Option) -> DeclareLaunchArgument:
+    """Return what `ros2 launch --show-args` shows."""
+    default = one.plain_default
+    text = str(default).lower() if isinstance(default, bool) else str(default)
+    choices = {"choices": list(one.texts)} if one.texts else {}
+    return DeclareLaunchArgument(one.name, default_value=text, description=descriptor_of(one).description, **choices)
+
+
+def _value(one: Option, text: str) -> Any:
+    """Return an argument's value in the type of its default.
+
+    Raises:
+        ValueError: the text is not of that type.
     """
-
-    name: str
-    default: Any
-    description: str
-    nodes: tuple[str, ...] = (EVALUATOR,)
-    choices: tuple[str, ...] = ()
-
-    def declaration(self) -> DeclareLaunchArgument:
-        """Return what `ros2 launch --show-args` shows."""
-        default = str(self.default).lower() if isinstance(self.default, bool) else str(self.default)
-        options = {"choices": list(self.choices)} if self.choices else {}
-        return DeclareLaunchArgument(self.name, default_value=default, description=self.description, **options)
-
-    def value(self, text: str) -> Any:
-        """Return the argument's value in the type of its default.
-
-        Raises:
-            ValueError: the text is not of that type.
-        """
-        kind = type(self.default)
-        try:
-            if kind is bool:
-                return {**dict.fromkeys(_TRUE, True), **dict.fromkeys(_FALSE, False)}[text.strip().lower()]
-            return kind(text)
-        except (KeyError, ValueError):
-            wanted = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
-            raise ValueError(f"launch argument {self.name} must be {wanted}, got {text!r}") from None
+    kind = one.plain_kind
+    try:
+        if kind is bool:
+            return {**dict.fromkeys(_TRUE, True), **dict.fromkeys(_FALSE, False)}[text.strip().lower()]
+        return kind(text)
+    except (KeyError, ValueError):
+        wanted = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
+        raise ValueError(f"launch argument {one.name} must be {wanted}, got {text!r}") from None
 
 
-COMMON = (
-    Argument("use_builtin_controller", True, "false: the car under test is a node that you start yourself", nodes=()),
-    Argument("scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"),
-    Argument("record", True, "keep a recording (a bag) of every episode"),
-    Argument("out", "", "folder for the results; empty: skd_results/<task>-<time>"),
-    Argument("overwrite", False, "replace the results in out"),
-    Argument(
-        "params_file", "", "YAML file with parameters of any of the nodes; they win over the other arguments", nodes=()
-    ),
-    Argument("rviz", False, "show the crossing in RViz", nodes=()),
-    Argument(
-        "end_launch", True, "the launch ends with the evaluator, and fails with it or with another node", nodes=()
-    ),
-)
+def graph_description(task: str) -> LaunchDescription:
+    """Return the launch of the whole graph for one task of the evaluator, the value of its parameter of that name."""
+    declared = [_declaration(one) for one, _ in arguments_of(task).values()]
+    return LaunchDescription([*declared, OpaqueFunction(function=_start, args=[task])])
 
 
-def option_arguments(launch: str) -> tuple[Argument, ...]:
-    """Return the arguments by which the options of campaign and graph are given to a launch file, by its name."""
-    tables = {SIMULATOR: (SimulatorOptions,), EVALUATOR: (CampaignOptions, EvaluatorOptions)}
-    known = {node: {one.name: one for table in those for one in options_of(table)} for node, those in tables.items()}
-    found = known[EVALUATOR] | known[SIMULATOR]
-    told = {name: tuple(node for node, names in known.items() if name in names) for name in found}
-    return tuple(
-        Argument(name, one.plain_default, one.text, told[name], one.texts)
-        for name, one in found.items()
-        if launch in one.launches
-    )
-
-
-def graph_description(task: str, own: Sequence[Argument] = ()) -> LaunchDescription:
-    """Return the launch of the whole graph for one task of the evaluator.
-
-    Args:
-        task: value of the evaluator's parameter of that name.
-        own: the task's own arguments, beside the options of a campaign.
-    """
-    arguments = (*own, *option_arguments(task), *COMMON)
-    return LaunchDescription(
-        [
-            *[argument.declaration() for argument in arguments],
-            OpaqueFunction(function=_start, args=[task, arguments]),
-        ]
-    )
-
-
-def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> list[Any]:
-    values = {argument.name: argument.value(context.launch_configurations[argument.name]) for argument in arguments}
+def _start(context: LaunchContext, task: str) -> list[Any]:
+    arguments = arguments_of(task)
+    values = {name: _value(one, context.launch_configurations[name]) for name, (one, _) in arguments.items()}
     builtin = values["use_builtin_controller"] and not CarUnderTest(values["controller"]).is_external
     if not builtin:
         values["controller"] = EXTERNAL
 
     def node(package: str, name: str) -> Node:
-        chosen = {argument.name: values[argument.name] for argument in arguments if name in argument.nodes}
+        chosen = {key: values[key] for key, (_, nodes) in arguments.items() if name in nodes}
         if name == EVALUATOR:
             chosen["task"] = task
         parameters: list[Any] = [str(Path(get_package_share_directory(package), "config", f"{name}.yaml")), chosen]

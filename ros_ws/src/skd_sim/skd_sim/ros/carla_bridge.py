@@ -10,6 +10,7 @@ import importlib
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -19,9 +20,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from skd_sim.errors import UsageError
+from skd_sim.options.options import option
 from skd_sim.ros.from_messages import from_stamp
-from skd_sim.ros.simulator_node import SIMULATOR_SETTINGS, GraphSimulator
-from skd_sim.ros.support import STREAM, NodeParameter, declare, run_node
+from skd_sim.ros.simulator_node import TABLES as SIMULATOR_TABLES
+from skd_sim.ros.simulator_node import GraphSimulator
+from skd_sim.ros.support import STREAM, declare, run_node
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.carla import (
     ADVERSARY,
@@ -45,33 +48,36 @@ from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
-_SETTINGS = (
-    *SIMULATOR_SETTINGS,
-    NodeParameter("ego_role", EGO, "role name of the car under test in CARLA"),
-    NodeParameter("adversary_role", ADVERSARY, "role name of the adversary in CARLA"),
-    NodeParameter("odometry_id", ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both"),
-    NodeParameter(
-        "control_id", CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place"
-    ),
-    NodeParameter(
-        "obstacles_on_map", False, "whether the map has the scenario's obstacles; if not, actors are put there"
-    ),
-    NodeParameter("crossing_x", 0.0, "origin of the crossing in CARLA's map as ROS sees it, m", -1e5, 1e5),
-    NodeParameter("crossing_y", 0.0, "the same, m", -1e5, 1e5),
-    NodeParameter("crossing_z", 0.5, "height at which actors are put on the road, m", -1e3, 1e4),
-    NodeParameter(
-        "crossing_yaw", 0.0, "direction in which the adversary crosses, the crossing's x axis, rad", -7.0, 7.0
-    ),
-    NodeParameter(
-        "frame_step", 0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", 0.001, 0.1
-    ),
-    NodeParameter("full_throttle", 4.0, "acceleration of the car at full throttle, m/s²", 0.1, 20.0),
-    NodeParameter("full_brake", 8.0, "deceleration of the car at full brake, m/s²", 0.1, 20.0),
-    NodeParameter("placing_tolerance", 0.5, "distance from its start at which an actor counts as placed, m", 0.01, 5.0),
-    NodeParameter(
-        "settling_time", 0.02, "wall seconds from controls to the first frame that is to feel them", 0.001, 5.0
-    ),
-)
+
+@dataclass(frozen=True)
+class _CarlaOptions:
+    """The table of the node's parameters, beside those of every simulator."""
+
+    ego_role: str = option(EGO, "role name of the car under test in CARLA")
+    adversary_role: str = option(ADVERSARY, "role name of the adversary in CARLA")
+    odometry_id: str = option(ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both")
+    control_id: str = option(CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place")
+    obstacles_on_map: bool = option(False, "whether the map has the scenario's obstacles; if not, actors are put there")
+    crossing_x: float = option(0.0, "origin of the crossing in CARLA's map as ROS sees it, m", low=-1e5, high=1e5)
+    crossing_y: float = option(0.0, "the same, m", low=-1e5, high=1e5)
+    crossing_z: float = option(0.5, "height at which actors are put on the road, m", low=-1e3, high=1e4)
+    crossing_yaw: float = option(
+        0.0, "direction in which the adversary crosses, the crossing's x axis, rad", low=-7.0, high=7.0
+    )
+    frame_step: float = option(
+        0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", low=0.001, high=0.1
+    )
+    full_throttle: float = option(4.0, "acceleration of the car at full throttle, m/s²", low=0.1, high=20.0)
+    full_brake: float = option(8.0, "deceleration of the car at full brake, m/s²", low=0.1, high=20.0)
+    placing_tolerance: float = option(
+        0.5, "distance from its start at which an actor counts as placed, m", low=0.01, high=5.0
+    )
+    settling_time: float = option(
+        0.02, "wall seconds from controls to the first frame that is to feel them", low=0.001, high=5.0
+    )
+
+
+TABLES = (*SIMULATOR_TABLES, _CarlaOptions)
 _STEP_ONCE = 2  # carla_msgs/CarlaControl.STEP_ONCE
 _LONGEST_WAIT = 0.05  # s; a signal is then seen
 
@@ -282,7 +288,7 @@ class CarlaBridge(Node):
     def __init__(self) -> None:
         """Find CARLA; then wait for an episode."""
         super().__init__("carla_bridge")
-        settings = declare(self, _SETTINGS)
+        settings = declare(self, *TABLES)
         self._carla = CarlaFrames(settings)
         self.simulator = GraphSimulator(self, FramedSimulator(self._carla), settings, clock=False)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -21,6 +22,7 @@ from skd_sim.controllers import (
 )
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.options import option
 from skd_sim.ros.from_messages import (
     CarEpisode,
     from_stamp,
@@ -37,20 +39,23 @@ from skd_sim.ros.support import (
     STREAM,
     EpisodeFollower,
     GraphNode,
-    NodeParameter,
     declare,
     run_node,
 )
 from skd_sim.ros.to_messages import acceleration_command
 
-_SETTINGS = (
-    NodeParameter(
-        "controller", "", "basic, cal, carla, or package.module:Class; empty: the one that the episode names"
-    ),
-    NodeParameter(
-        "multiplier", -1.0, "C of the basic controller; negative: the one that the episode names", -1.0, 100.0
-    ),
-)
+
+@dataclass(frozen=True)
+class _ControllerOptions:
+    """The table of the node's parameters."""
+
+    controller: str = option("", "basic, cal, carla, or package.module:Class", unset="the one that the episode names")
+    multiplier: float = option(
+        -1.0, "C of the basic controller; negative: the one that the episode names", low=-1.0, high=100.0
+    )
+
+
+TABLES = (_ControllerOptions,)
 
 
 class CarController(GraphNode):
@@ -59,7 +64,7 @@ class CarController(GraphNode):
     def __init__(self) -> None:
         """Declare parameters and topics."""
         super().__init__("car_controller")
-        self._settings = declare(self, _SETTINGS)
+        self._settings = declare(self, *TABLES)
         if self._settings["controller"]:
             make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
         self._controller: Controller | None = None

@@ -48,7 +48,6 @@ from skd_sim.ros.support import (
     GraphNode,
     declare,
     run_node,
-    settings_of,
 )
 from skd_sim.ros.to_messages import acceleration_command, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
@@ -57,8 +56,8 @@ from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import Schedule
 
-SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
-"""Parameters of every simulator's node."""
+TABLES = (SimulatorOptions,)
+"""Of every simulator's parameters."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
 _NOWHERE = Frame(0, CarState(0.0, 0.0, 0.0, 0.0), AdversaryState(0.0, 0.0, 0.0, 0.0))  # of an episode that is refused
@@ -100,7 +99,7 @@ class GraphSimulator:
         Args:
             node: node that speaks and listens.
             simulator: simulator that moves car and adversary.
-            values: values of `SIMULATOR_SETTINGS` by name.
+            values: values of `TABLES` by name.
             clock: whether it publishes `/clock`; a simulator may do so itself.
             alone: whether evaluator and adversary are in other processes.
         """
@@ -286,16 +285,13 @@ def _identity(message: Any) -> tuple[str, int, int]:
     return str(message.campaign), int(message.episode_id), from_stamp(message.header.stamp)
 
 
-_SETTINGS = SIMULATOR_SETTINGS
-
-
 class VehicleSimulator(GraphNode):
     """The world, and its clock."""
 
     def __init__(self) -> None:
         """Declare parameters; then wait for an episode."""
         super().__init__("vehicle_simulator")
-        self.simulator = GraphSimulator(self, NamedSimulator(), declare(self, _SETTINGS))
+        self.simulator = GraphSimulator(self, NamedSimulator(), declare(self, *TABLES))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -19,7 +18,7 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.files import nearest
 from skd_sim.interruption import END_LIMIT, Interruption, end_within
-from skd_sim.options.options import CommandOptions, options_of
+from skd_sim.options.options import CommandOptions, Option, options_of
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.world.timing import period_of
 
@@ -82,72 +81,37 @@ class GraphNode(Node):
         return super().create_subscription(*arguments, event_callbacks=events, **options)
 
 
-@dataclass(frozen=True)
-class NodeParameter:
-    """A parameter of a node; it cannot be changed while the node runs.
-
-    Attributes:
-        name: name of the parameter.
-        default: value by default, whose type is that of the parameter.
-        description: what the parameter means, with its unit.
-        low: least number allowed.
-        high: greatest number allowed.
-        choices: texts allowed; any by default.
-    """
-
-    name: str
-    default: Any
-    description: str
-    low: float | None = None
-    high: float | None = None
-    choices: tuple[str, ...] = ()
-
-    def descriptor(self) -> ParameterDescriptor:
-        """Return what `ros2 param describe` shows."""
-        descriptor = ParameterDescriptor(description=self.description, read_only=True)
-        if self.choices:
-            descriptor.additional_constraints = f"one of: {', '.join(self.choices)}"
-        if self.low is not None and self.high is not None:
-            if isinstance(self.default, int):
-                whole = IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)
-                descriptor.integer_range = [whole]
-            else:
-                real = FloatingPointRange(from_value=float(self.low), to_value=float(self.high), step=0.0)
-                descriptor.floating_point_range = [real]
-        return descriptor
+def descriptor_of(one: Option) -> ParameterDescriptor:
+    """Return what `ros2 param describe` shows of an option; it cannot be changed while the node runs."""
+    text = f"{one.text}; {one.absent or 'empty'}: {one.unset}" if one.unset else one.text
+    descriptor = ParameterDescriptor(description=text, read_only=True)
+    if one.texts:
+        descriptor.additional_constraints = f"one of: {', '.join(one.texts)}"
+    if one.low is not None and one.high is not None:
+        if isinstance(one.plain_default, int):
+            descriptor.integer_range = [IntegerRange(from_value=int(one.low), to_value=int(one.high), step=1)]
+        else:
+            whole = FloatingPointRange(from_value=float(one.low), to_value=float(one.high), step=0.0)
+            descriptor.floating_point_range = [whole]
+    return descriptor
 
 
-def settings_of(table: Callable[..., Any]) -> tuple[NodeParameter, ...]:
-    """Return the parameters by which the options of a table are given to a node."""
-    return tuple(
-        NodeParameter(
-            one.name,
-            one.plain_default,
-            f"{one.text}; {one.absent or 'empty'}: {one.unset}" if one.unset else one.text,
-            one.low,
-            one.high,
-            one.texts,
-        )
-        for one in options_of(table)
-    )
-
-
-def declare(node: Node, settings: Sequence[NodeParameter]) -> dict[str, Any]:
-    """Declare parameters and return their values.
+def declare(node: Node, *tables: Callable[..., Any]) -> dict[str, Any]:
+    """Declare the options of tables as parameters and return their values, as plain data.
 
     Raises:
         UsageError: a value that was given is of the wrong type or not allowed.
     """
     values = {}
-    for setting in settings:
+    for one in (one for table in tables for one in options_of(table)):
         try:
-            value = node.declare_parameter(setting.name, setting.default, setting.descriptor()).value
+            value = node.declare_parameter(one.name, one.plain_default, descriptor_of(one)).value
         except ParameterException as error:
             raise UsageError(f"{node.get_name()}: {error}") from error
-        if setting.choices and value not in setting.choices:
-            allowed = ", ".join(setting.choices)
-            raise UsageError(f"{node.get_name()}: parameter {setting.name} must be one of {allowed}; got {value!r}")
-        values[setting.name] = value
+        if one.texts and value not in one.texts:
+            allowed = ", ".join(one.texts)
+            raise UsageError(f"{node.get_name()}: parameter {one.name} must be one of {allowed}; got {value!r}")
+        values[one.name] = value
     _warn_of_unknown(node)
     return values
 
