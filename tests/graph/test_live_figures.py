@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 import shapely
-from rclpy.serialization import deserialize_message
 from skd_adversary.adversary import BelievedCar
 from skd_adversary.ros.adversary_node import belief_to_odometry
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -15,14 +14,13 @@ from skd_evaluator.ros.visualization import recorded_figures
 from skd_sim.ros.support import CLEARANCE, DEVIATION
 from skd_sim.scenario.road import road_pose
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
-from std_msgs.msg import Float64
 
 
 def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
     """Clearance and deviation in a recording, m."""
     found: dict[str, list[float]] = {CLEARANCE: [], DEVIATION: []}
-    for message in recorded_figures(log, 10**9, {topic: topic for topic in found}):
-        found[message.topic].append(deserialize_message(message.data, Float64).data)
+    for topic, message, _ in recorded_figures(log, 10**9):
+        found[topic].append(message.data)
     return found[CLEARANCE], found[DEVIATION]
 
 

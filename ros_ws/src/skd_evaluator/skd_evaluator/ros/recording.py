@@ -19,10 +19,8 @@ from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
-    CLEARANCE,
     CLOCK,
     COMMAND,
-    DEVIATION,
     EGO_ODOMETRY,
     EPISODE,
     EPISODE_RESULT,
@@ -159,24 +157,23 @@ class BagRecorder:
         """
         step, begin = episode.scenario.time_step, time.monotonic()
         last, decided = (tick_stamp(self._key.start, tick, step) for tick in (result.ticks, result.ticks - 1))
-        odometry, of_adversary, applied = (
+        states, of_adversary, applied = (
             recorded_name(self._node, one) for one in (EGO_ODOMETRY, ADVERSARY_ODOMETRY, COMMAND)
         )
+        needed = {states: last, of_adversary: last, CLOCK: last, self._walk_topic: decided}
         while True:  # messages of a topic come in order: where the last one is there, all are
-            latest = dict.fromkeys((odometry, of_adversary, CLOCK, TF, applied), 0)
-            latest |= {self._walk_topic: 0, self._drive_topic: 0}
+            latest: dict[str, int] = {}
             answered = decided
             for kept in self._messages:
                 latest[kept.topic] = max(latest.get(kept.topic, 0), kept.stamp)
-                if kept.topic == odometry and kept.stamp < last:  # another one followed, so the car has answered it
+                if kept.topic == states and kept.stamp < last:  # another one followed, so the car has answered it
                     answered = max(answered, kept.stamp)
-            whole = min(latest[odometry], latest[of_adversary]) >= last
-            others = latest[CLOCK] >= last and latest[self._walk_topic] >= decided
+            needed[self._drive_topic] = answered
             if self._own_world:  # another simulator need not publish any
-                others &= latest[TF] >= last and latest[applied] >= answered
-            if whole and others and latest[self._drive_topic] >= answered:
-                return
-            if time.monotonic() > begin + (self._patience if whole else max(self._patience, _STATES)):
+                needed |= {TF: last, applied: answered}
+            lacking = [topic for topic, stamp in needed.items() if latest.get(topic, 0) < stamp]
+            patience = max(self._patience, _STATES) if {states, of_adversary} & set(lacking) else self._patience
+            if not lacking or time.monotonic() > begin + patience:
                 return
             listen(SETTLE)
 
@@ -204,35 +201,32 @@ class BagRecorder:
         if unsaid:
             messages = [kept for kept in messages if kept.kind is not EpisodeResult]
             messages.append(self._own(EPISODE_RESULT, self._ending(specification, result, end), end))
-        name = bag_name(log.episode)
+        name, start = bag_name(log.episode), self._key.start
         self._written.add(name)
-        start = self._key.start
-        figures = {topic: recorded_name(self._node, topic) for topic in (CLEARANCE, DEVIATION)}
-        latched = [self._own(EPISODE, specification, start, latched=True)]
+        latched = {EPISODE: specification, ROBOT_DESCRIPTION: self._description}
         if self._fixed:
-            fixed = TFMessage(transforms=list(self._fixed.values()))
-            latched.append(self._own(TF_STATIC, fixed, start, latched=True))
-        if self._description is not None:
-            latched.append(self._own(ROBOT_DESCRIPTION, self._description, start, latched=True))
-        shown = [*self._markers(log.episode, samples), *recorded_figures(log, start, figures)]
-        write_bag(self._folder / name, [*latched, *shown, *messages])
+            latched[TF_STATIC] = TFMessage(transforms=list(self._fixed.values()))
+        shown = [self._own(topic, one, start, latched=True) for topic, one in latched.items() if one is not None]
+        for stamp in sorted({start, *samples.car}):
+            markers = episode_markers(log.episode, samples, stamp, fixed=stamp == start)
+            shown.append(self._own(MARKERS, markers, stamp, latched=True))
+        shown += [self._own(*figure) for figure in recorded_figures(log, start)]
+        write_bag(self._folder / name, [*shown, *messages])
 
     def _ending(self, specification: Any, result: EpisodeEnd, end: int) -> EpisodeResult:
-        ending = EpisodeResult(campaign=self._key.campaign, start=specification.header.stamp)
-        ending.header.stamp = to_stamp(end)
-        ending.header.frame_id = specification.header.frame_id
-        ending.episode_id = self._key.episode_id
-        ending.outcome, ending.ticks = int(result.outcome), result.ticks
-        ending.impact_time = ending.impact_speed = math.nan
-        ending.reason = result.reason
+        ending = EpisodeResult(
+            campaign=self._key.campaign,
+            episode_id=self._key.episode_id,
+            start=specification.header.stamp,
+            outcome=int(result.outcome),
+            ticks=result.ticks,
+            impact_time=math.nan,
+            impact_speed=math.nan,
+            reason=result.reason,
+        )
+        ending.header.stamp, ending.header.frame_id = to_stamp(end), specification.header.frame_id
         return ending
 
     def _own(self, topic: str, message: Any, stamp: int, *, latched: bool = False) -> RecordedMessage:
         data = serialize_message(message)
         return RecordedMessage(recorded_name(self._node, topic), type(message), stamp, data, latched=latched)
-
-    def _markers(self, episode: EpisodeSpec, samples: Samples) -> list[RecordedMessage]:
-        start = self._key.start
-        markers = {stamp: episode_markers(episode, samples, stamp, fixed=False) for stamp in sorted(samples.car)}
-        markers[start] = episode_markers(episode, samples, start)
-        return [self._own(MARKERS, shown, stamp, latched=True) for stamp, shown in markers.items()]

@@ -7,28 +7,26 @@ a node listens; a recording has both.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator
 
 import numpy as np
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
 from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.state_publisher import CAR_HEIGHT
 from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM
-from skd_sim.ros.to_messages import to_stamp
+from skd_sim.ros.to_messages import to_orientation, to_stamp
 from skd_sim.scenario.road import Road, road_pose, road_position
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import period_of, tick_stamp
-from std_msgs.msg import Float64
+from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.run.assembly import Samples
-from skd_evaluator.bags.write import RecordedMessage
 from skd_evaluator.driving.drive import Onlooker
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.surrogate_measures import clearances
@@ -38,29 +36,19 @@ _LANES, _CAR, _ADVERSARY, _SAFE, _WALKED, _LANE_LINES, _OBSTACLES = range(7)  # 
 _LANE_ENDS = (-40.0, 40.0)  # m along a lane
 
 
-def _rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
-    """Return a colour of the palette, "#RRGGBB", as shares of red, green and blue."""
+def _marker(number: int, kind: int, stamp: int, colour: str, *, alpha: float = 1.0, heading: float = 0.0) -> Marker:
+    """Return a marker in a colour of the palette, "#RRGGBB"."""
+    marker = Marker(ns="skd", id=number, type=kind, action=Marker.ADD)
+    marker.header.frame_id, marker.header.stamp = MAP_FRAME, to_stamp(stamp)
+    marker.pose.orientation = to_orientation(heading)
     red, green, blue = (int(colour[start : start + 2], 16) / 255.0 for start in (1, 3, 5))
-    return red, green, blue, alpha
-
-
-def _marker(number: int, kind: int, stamp: int, rgba: tuple[float, float, float, float]) -> Marker:
-    marker = Marker()
-    marker.header.frame_id = MAP_FRAME
-    marker.header.stamp = to_stamp(stamp)
-    marker.ns = "skd"
-    marker.id = number
-    marker.type = kind
-    marker.action = Marker.ADD
-    marker.pose.orientation.w = 1.0
-    marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
     return marker
 
 
 def _box(marker: Marker, centre: tuple[float, float, float], size: tuple[float, float, float]) -> Marker:
-    position, scale = marker.pose.position, marker.scale
-    position.x, position.y, position.z = (float(value) for value in centre)
-    scale.x, scale.y, scale.z = (float(value) for value in size)
+    marker.pose.position = Point(**dict(zip("xyz", map(float, centre), strict=True)))
+    marker.scale = Vector3(**dict(zip("xyz", map(float, size), strict=True)))
     return marker
 
 
@@ -70,15 +58,10 @@ def _line(marker: Marker, points: Iterable[tuple[float, float]], width: float) -
     return marker
 
 
-def _turned(marker: Marker, heading: float) -> Marker:
-    marker.pose.orientation.z, marker.pose.orientation.w = math.sin(0.5 * heading), math.cos(0.5 * heading)
-    return marker
-
-
 def _lanes(road: Road, stamp: int) -> list[Marker]:
     """Return the lanes' surface, two triangles between each two places along one; of several, edges and arrows too."""
-    surface = _marker(_LANES, Marker.TRIANGLE_LIST, stamp, _rgba(palette.ROAD_EDGE))
-    surface.scale.x = surface.scale.y = surface.scale.z = 1.0
+    surface = _marker(_LANES, Marker.TRIANGLE_LIST, stamp, palette.ROAD_EDGE)
+    surface.scale = Vector3(x=1.0, y=1.0, z=1.0)
     corners, lines = [], []
     for left, right in road.surfaces(*_LANE_ENDS):
         for one in range(len(left) - 1):
@@ -89,30 +72,12 @@ def _lanes(road: Road, stamp: int) -> list[Marker]:
         return [surface]
     for ahead, right, left in road.arrows(*_LANE_ENDS):
         lines += [right, ahead, ahead, left]
-    return [surface, _line(_marker(_LANE_LINES, Marker.LINE_LIST, stamp, _rgba(palette.ROAD)), lines, 0.08)]
+    return [surface, _line(_marker(_LANE_LINES, Marker.LINE_LIST, stamp, palette.ROAD), lines, 0.08)]
 
 
-def _adversary(stamp: int, adversary: Body, walked: list[tuple[float, float]]) -> Marker:
-    kind = Marker.CUBE if adversary.is_box else Marker.CYLINDER
-    marker = _turned(
-        _marker(_ADVERSARY, kind, stamp, _rgba(palette.KAMIKAZE)), adversary.last_heading(np.array(walked))
-    )
-    return _body(marker, adversary, walked[-1])
-
-
-def _others(scenario: Scenario, elapsed: float, stamp: int) -> list[Marker]:
-    """Return the markers of the others that do not stand, so many seconds after the start."""
-    found, first = [], _OBSTACLES + len(scenario.rectangles)
-    for index, (other, state) in enumerate(zip(scenario.others, scenario.others_after(elapsed), strict=True)):
-        if not other.stands:
-            marker = _marker(
-                first + index, Marker.CUBE if other.is_box else Marker.CYLINDER, stamp, _rgba(palette.OBSTACLE)
-            )
-            found.append(_body(_turned(marker, state.heading), other, state[:2]))
-    return found
-
-
-def _body(marker: Marker, body: Body, place: tuple[float, float]) -> Marker:
+def _user(number: int, stamp: int, colour: str, body: Body, place: tuple[float, float], heading: float) -> Marker:
+    """Return the marker of a road user."""
+    marker = _marker(number, Marker.CUBE if body.is_box else Marker.CYLINDER, stamp, colour, heading=heading)
     radius, half_length, half_width = body.shape
     height = height_of(body.kind)
     size = 2.0 * (radius or half_length), 2.0 * (radius or half_width), height
@@ -123,10 +88,10 @@ def fixed_markers(episode: EpisodeSpec, stamp: int) -> list[Marker]:
     """Return the markers of an episode that stay as they are: lanes, what stands, and φ; from `stamp` (ns) on."""
     markers = _lanes(episode.scenario.road, stamp)
     for index, (x, y, heading, half_length, half_width) in enumerate(episode.scenario.rectangles.tolist()):
-        box = _turned(_marker(_OBSTACLES + index, Marker.CUBE, stamp, _rgba(palette.OBSTACLE)), heading)
+        box = _marker(_OBSTACLES + index, Marker.CUBE, stamp, palette.OBSTACLE, heading=heading)
         markers.append(_box(box, (x, y, 0.5 * CAR_HEIGHT), (2.0 * half_length, 2.0 * half_width, CAR_HEIGHT)))
     if episode.safe_trajectory is not None:
-        path = _marker(_SAFE, Marker.LINE_STRIP, stamp, _rgba(palette.SAFE))
+        path = _marker(_SAFE, Marker.LINE_STRIP, stamp, palette.SAFE)
         markers.append(_line(path, episode.safe_trajectory.positions.tolist(), 0.1))
     return markers
 
@@ -138,7 +103,7 @@ def moving_markers(
     elapsed: float,
     stamp: int,
 ) -> list[Marker]:
-    """Return the markers of everybody who moves, and of the way that the adversary has come.
+    """Return the markers of all that move, and of the path that the adversary has come.
 
     Args:
         scenario: scenario that gives the shapes.
@@ -147,18 +112,23 @@ def moving_markers(
         elapsed: time since the start of the episode, s.
         stamp: time stamp of the markers, ns.
     """
-    markers, car, line = _others(scenario, elapsed, stamp), scenario.car, scenario.road.line
+    first, car, line = _OBSTACLES + len(scenario.rectangles), scenario.car, scenario.road.line
+    markers = [
+        _user(first + index, stamp, palette.OBSTACLE, other, state[:2], state.heading)
+        for index, (other, state) in enumerate(zip(scenario.others, scenario.others_after(elapsed), strict=True))
+        if not other.stands
+    ]
     if place is not None:
         heading = road_pose(line, road_position(line, *place)[0])[2]
         ahead = 0.5 * (car.front - car.rear)
         centre = (place[0] + ahead * math.cos(heading), place[1] + ahead * math.sin(heading), 0.5 * CAR_HEIGHT)
-        box = _turned(_marker(_CAR, Marker.CUBE, stamp, _rgba(palette.CAR, 0.9)), heading)
+        box = _marker(_CAR, Marker.CUBE, stamp, palette.CAR, alpha=0.9, heading=heading)
         markers.append(_box(box, centre, (car.front + car.rear, car.width, CAR_HEIGHT)))
     if walked:
-        markers.append(_adversary(stamp, scenario.adversary, walked))
+        heading = scenario.adversary.last_heading(np.array(walked))
+        markers.append(_user(_ADVERSARY, stamp, palette.KAMIKAZE, scenario.adversary, walked[-1], heading))
     if len(walked) > 1:
-        path = _marker(_WALKED, Marker.LINE_STRIP, stamp, _rgba(palette.KAMIKAZE))
-        markers.append(_line(path, walked, 0.06))
+        markers.append(_line(_marker(_WALKED, Marker.LINE_STRIP, stamp, palette.KAMIKAZE), walked, 0.06))
     return markers
 
 
@@ -213,13 +183,12 @@ class LiveFigures:
             self._deviation.publish(Float64(data=seen.strayed))
 
 
-def recorded_figures(log: EpisodeLog, start: int, names: Mapping[str, str]) -> list[RecordedMessage]:
-    """Return the figures of an episode at each tick, as far as they are known, for its recording.
+def recorded_figures(log: EpisodeLog, start: int) -> Iterator[tuple[str, Float64, int]]:
+    """Yield (topic, message, stamp in ns) of the figures of an episode at each tick, as far as they are known.
 
     Args:
         log: what happened.
         start: stamp of tick 0, ns.
-        names: names of the two topics, resolved.
     """
     scenario, psi, safe = log.episode.scenario, log.trajectory.positions, log.episode.safe_trajectory
     contact = log.outcome == Outcome.COLLISION
@@ -232,8 +201,6 @@ def recorded_figures(log: EpisodeLog, start: int, names: Mapping[str, str]) -> l
         ticks = [*map(float, range(len(psi)))]
         ticks[-1] = log.impact_time / scenario.time_step if contact else ticks[-1]
         values[DEVIATION] = [deviation(safe.positions, psi[: count + 1], tick) for count, tick in enumerate(ticks)]
-    return [
-        RecordedMessage(names[topic], Float64, tick_stamp(start, tick, scenario.time_step), serialize_message(message))
-        for topic, figures in values.items()
-        for tick, message in enumerate(Float64(data=value) for value in figures)
-    ]
+    for topic, figures in values.items():
+        for tick, value in enumerate(figures):
+            yield topic, Float64(data=value), tick_stamp(start, tick, scenario.time_step)
