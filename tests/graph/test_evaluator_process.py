@@ -47,8 +47,7 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
     counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "simulations": 300, "seed": 11}
     finished = node("evaluator", graph, **counts, multiplier=0.875, out=tmp_path / "node").finish()
     assert finished.code == 0, finished.err
-    assert "deviation " in finished.lines[-1]
-    assert "SKD " in finished.lines[-1]
+    assert "afety margin " in finished.lines[-1]
     options = [word for key, value in counts.items() for word in (f"--{key.replace('_', '-')}", value)]
     assert skd("assess", *options, "--multiplier", 0.875, "--out", tmp_path / "line").code == 0
     assert_same_results(tmp_path / "node", tmp_path / "line")

@@ -8,8 +8,8 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,7 @@ from skd_evaluator.report.presentation import (
     why_failed,
     write_with_scratch,
 )
+from skd_evaluator.report.terminal import headline
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import campaign_name
 from skd_evaluator.ros.stack import resetting
@@ -102,6 +103,7 @@ class EvaluatorProcess(Evaluator):
             with (
                 self._out.scratch() as scratch,
                 resetting(self.context, names, values["silence_limit"]) as reset,
+                _undisturbed_cleaning(),
             ):
                 self.begin_campaign(
                     campaign_name(plan.car),
@@ -110,19 +112,9 @@ class EvaluatorProcess(Evaluator):
                     before_episode=reset,
                     commands=CommandOptions(**values_of(CommandOptions, values)),
                 )
-                try:
-                    return (
-                        self._assess(scratch.folder)
-                        if values["task"] == "assessment"
-                        else self._run_one(scratch.folder)
-                    )
-                except (KeyboardInterrupt, ExternalShutdownException):
-                    for number in SIGNALS:
-                        signal.signal(number, signal.SIG_IGN)  # a second one must not disturb the cleaning up
-                    raise
-        except (AssessmentError, OSError) as error:
-            self.get_logger().fatal(str(error))
-            return 1
+                return self._assess(scratch.folder) if values["task"] == "assessment" else self._run_one(scratch.folder)
+        except OSError as error:
+            raise AssessmentError(str(error)) from error
         except (KeyboardInterrupt, ExternalShutdownException):
             print("evaluator: interrupted; nothing was written", file=sys.stderr)  # the context may be gone: no logger
             return _INTERRUPTED
@@ -150,17 +142,7 @@ class EvaluatorProcess(Evaluator):
             self.get_logger().error(f"{why}; results in {self._out.path}")
         if failures:
             return 1
-        result = assessment.as_dict()
-        figures = [
-            f"{name} {result[key]:.3f} m, 95 % by φ [{low:.3f}, {high:.3f}]"
-            for name, key in (("deviation", "deviation"), ("SKD", "skd"))
-            for low, high in [result[f"{key}_ci95"] or (float("nan"), float("nan"))]
-        ]
-        rate = "unknown" if assessment.contact_rate is None else f"{100 * assessment.contact_rate:.1f} %"
-        self.get_logger().info(
-            f"{'; '.join(figures)}; {assessment.trials} kamikaze episodes; contact rate along φ {rate}; results in "
-            f"{self._out.path}"
-        )
+        self.get_logger().info(f"{headline(assessment.as_dict())}; results in {self._out.path}")
         return 0
 
     def _run_one(self, scratch: Path) -> int:
@@ -185,6 +167,16 @@ class EvaluatorProcess(Evaluator):
 
     def _say_progress(self, label: str, done: int, total: int) -> None:
         self.get_logger().info(f"{label}: {done} of {total}", throttle_duration_sec=5.0)
+
+
+@contextmanager
+def _undisturbed_cleaning() -> Iterator[None]:
+    try:
+        yield
+    except (KeyboardInterrupt, ExternalShutdownException):
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)  # a second one must not disturb the cleaning up
+        raise
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -68,15 +68,13 @@ class CarController(GraphNode):
         if self._settings["controller"]:
             make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
         self._controller: Controller | None = None
-        self._car: dict[int, Any] = {}
-        self._adversary: dict[int, Any] = {}
-        self._scan: dict[int, Any] = {}
-        self._scans: Any = None  # subscription, while the controller wants scans
+        self._seen: dict[int, dict[str, Any]] = {}  # by stamp
+        self._scans: Any = None  # subscription, while the controller senses
         self._answered: dict[int, AccelStamped] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
         self._follower = EpisodeFollower(self, message_to_car_episode, self._on_begin, self._on_frame)
-        self.create_subscription(Odometry, EGO_ODOMETRY, partial(self._on_odometry, self._car, odometry_to_car), STREAM)
-        of_adversary = partial(self._on_odometry, self._adversary, odometry_to_adversary)
+        self.create_subscription(Odometry, EGO_ODOMETRY, partial(self._hear, EGO_ODOMETRY, odometry_to_car), STREAM)
+        of_adversary = partial(self._hear, ADVERSARY_ODOMETRY, odometry_to_adversary)
         self.create_subscription(Odometry, ADVERSARY_ODOMETRY, of_adversary, STREAM)
 
     def _on_begin(self, episode: CarEpisode) -> None:
@@ -96,37 +94,32 @@ class CarController(GraphNode):
     def _listen_to_scans(self, *, wanted: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless a node listens."""
         if wanted and self._scans is None:
-            self._scans = self.create_subscription(LaserScan, EGO_SCAN, self._on_scan, STREAM)
+            of_laser = partial(self._hear, EGO_SCAN, message_to_scan)
+            self._scans = self.create_subscription(LaserScan, EGO_SCAN, of_laser, STREAM)
         elif not wanted and self._scans is not None:
             self.destroy_subscription(self._scans)
             self._scans = None
-            self._scan.clear()
 
-    def _on_odometry(self, kept: dict[int, Any], read: Callable[[Any], Any], message: Any) -> None:
-        self._on_state(kept, from_stamp(message.header.stamp), read(message))
+    def _hear(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
+        stamp = from_stamp(message.header.stamp)
+        seen = self._seen.setdefault(stamp, {})
+        seen[topic] = read(message)
+        needed = {EGO_ODOMETRY, ADVERSARY_ODOMETRY} | ({EGO_SCAN} if self._scans is not None else set())
+        if needed <= seen.keys():
+            self._seen = {other: kept for other, kept in self._seen.items() if other > stamp}
+            self._follower.deliver(stamp, seen)
 
-    def _on_scan(self, message: Any) -> None:
-        self._on_state(self._scan, from_stamp(message.header.stamp), message)
-
-    def _on_state(self, kept: dict[int, Any], stamp: int, state: Any) -> None:
-        kept[stamp] = state
-        if stamp in self._car and stamp in self._adversary and (self._scans is None or stamp in self._scan):
-            states = self._car.pop(stamp), self._adversary.pop(stamp), self._scan.pop(stamp, None)
-            self._follower.deliver(stamp, states)
-            for side in (self._car, self._adversary, self._scan):
-                for old in [other for other in side if other < stamp]:
-                    del side[old]
-
-    def _on_frame(self, tick: int, period: int, stamp: int, states: tuple[Any, Any, Any]) -> None:
+    def _on_frame(self, tick: int, period: int, stamp: int, seen: dict[str, Any]) -> None:
         # A tick may be repeated while other nodes start; the controller must see it once.
         if stamp not in self._answered:
             assert self._controller is not None
             if isinstance(self._controller, SensingController):
-                if states[2] is None:
+                if EGO_SCAN not in seen:
                     return  # tick 0 of the first episode, before the subscription was there: it will be repeated
-                self._controller.sense(message_to_scan(states[2]))
+                self._controller.sense(seen[EGO_SCAN])
+            car, adversary = seen[EGO_ODOMETRY], seen[ADVERSARY_ODOMETRY]
             try:
-                command = self._controller.command(states[0], self._sight(*states[:2], tick, period))
+                command = self._controller.command(car, self._sight(car, adversary, tick, period))
             except NoNumberError as error:
                 self.get_logger().error(str(error))
                 command = math.nan  # the simulator ends the episode for it
