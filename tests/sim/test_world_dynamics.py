@@ -9,7 +9,7 @@ import pytest
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.contact import rectangle_distance, to_car_frame
-from skd_sim.world.dynamics.multi_body_car import MultiBodyCar
+from skd_sim.world.dynamics.multi_body import MultiBodyCar
 from skd_sim.world.world import World
 
 MULTI_BODY = load_scenario("crossing_multi_body")

@@ -188,7 +188,7 @@ DYNAMICS = {
         "skd_sim.world.dynamics.basic:BasicCar", tyres=False, known=True, steers=True, scenario="crossing"
     ),
     "multi_body": DynamicsKind(
-        "skd_sim.world.dynamics.multi_body_car:MultiBodyCar",
+        "skd_sim.world.dynamics.multi_body:MultiBodyCar",
         tyres=True,
         known=False,
         steers=False,

@@ -22,7 +22,6 @@ from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.options.registry import load
 from skd_sim.scenario.road import is_straight_north, road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.dynamics.multi_body import GRAVITY, TYRE
 from skd_sim.world.state import CarState, draw_relative, next_speed, on_grid, travelled
 
 
@@ -71,8 +70,12 @@ def make_dynamics(scenario: Scenario) -> CarDynamics:
     return cast(CarDynamics, load(DYNAMICS[name].target, f"car.dynamics {name}")(scenario))
 
 
-GRIP = TYRE.p_dx1 * GRAVITY
-"""m/s² that tyres hold on a dry road: those of the multi-body car, 11.5."""
+GRAVITY = 9.81
+"""m/s², as in the source of the multi-body car."""
+PEAK_FRICTION = 1.1739
+"""Of the multi-body car's tyres on a dry road."""
+GRIP = PEAK_FRICTION * GRAVITY
+"""m/s² that tyres hold on a dry road."""
 
 
 class CommandLimits(NamedTuple):
