@@ -132,19 +132,6 @@ def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
     assert view.grid.cells == (cell,)
 
 
-def test_why_a_slow_test_is_failed_and_a_fast_one_passed_is_said(skd_here, here):
-    """The basic car brakes at its braking distance, which at 20 km/h is a shorter time before the target."""
-    done = skd_here("ncap", "--scenarios", "cpna-50", "--speeds", "20:60:40", *NONE, "--out", "out")
-    slow, fast = cells_of(here / "out")
-    assert (slow.colour, fast.colour) == ("red", "green")
-    for cell in (slow, fast):  # it decides every 0.3 s, the first time within the braking distance
-        distance = (cell.speed * KMH) ** 2 / (2.0 * 3.5)
-        assert distance / (cell.speed * KMH) - 0.3 <= cell.braking_ttc <= distance / (cell.speed * KMH)
-    said = f"Why 20 km/h is red and 60 km/h green: the car begins to brake {slow.braking_ttc:.1f} s before the target"
-    assert said in done.stdout
-    assert said in (here / "out" / "ncap.html").read_text("utf-8")
-
-
 def test_numbers_do_not_depend_on_the_number_of_workers(skd_here, here):
     for workers in ("1", "2"):
         done = skd_here("ncap", "--scenarios", "cpna-75,cptans-50", "--kamikaze-count", "2", "--margin-limit", "128",

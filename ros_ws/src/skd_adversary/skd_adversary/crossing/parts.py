@@ -11,6 +11,7 @@ places in m; `parameters` are those of the composed model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final, Protocol, cast
@@ -31,34 +32,19 @@ STATE_DIM = 5
 
 Pair = tuple[float, float]
 
-# The interfaces: kernels that templates call, each described by the class of its part
-start_road_user: Callable[..., None] = unbound
-velocity: Callable[..., Pair] = unbound
-settle: Callable[..., None] = unbound
-possible: Callable[..., Pair] = unbound
-moving: Callable[..., Pair] = unbound
-next_velocity: Callable[..., Pair] = unbound
-next_possible: Callable[..., Pair] = unbound
-pointing: Callable[..., float] = unbound
+_acts: Callable[..., None] = unbound
+_gives_number: Callable[..., float] = unbound
+_gives_pair: Callable[..., Pair] = unbound
+_gives_truth: Callable[..., bool] = unbound
+
+# The interfaces: kernels that templates call, each described by the class of its part, by what they return
+start_road_user = settle = start_car = advance_car = resume_car = redraw_policy = place_car = begin = _acts
+velocity = possible = moving = next_velocity = next_possible = chosen = _gives_pair
+on_road = velocity_on_road = from_car = last_changes = _gives_pair
+pointing = touch = at_distance = contact = expected_acceleration = _gives_number
+left_behind = sensible = _gives_truth
 steer: Callable[..., int] = unbound
-touch: Callable[..., float] = unbound
-on_road: Callable[..., Pair] = unbound
-velocity_on_road: Callable[..., Pair] = unbound
-from_car: Callable[..., Pair] = unbound
-left_behind: Callable[..., bool] = unbound
-at_distance: Callable[..., float] = unbound
-contact: Callable[..., float] = unbound
-start_car: Callable[..., None] = unbound
-advance_car: Callable[..., None] = unbound
-expected_acceleration: Callable[..., float] = unbound
-last_changes: Callable[..., Pair] = unbound
-resume_car: Callable[..., None] = unbound
-redraw_policy: Callable[..., None] = unbound
-place_car: Callable[..., None] = unbound
-chosen: Callable[..., Pair] = unbound
-sensible: Callable[..., bool] = unbound
-begin: Callable[..., None] = unbound
-move: Callable[..., float] = unbound
+move = _gives_number
 """Of all parts together (`model`): (parameters, state, vx, vy, next_state_out, rng) → share of the step at which
 adversary and car touch, else infinity; it writes both into the next state."""
 
@@ -303,6 +289,7 @@ class RoadUserModel:
         parameters: scenario → parameters of the model, by name.
         fastest: plausible speed, m/s; whatever moves faster in a recording is of another kind, or its unit is wrong.
         height: height of its body in pictures and messages, m.
+        mass: its mass with who rides it, kg; nan where it is not known.
         names: what another simulator, a format or a data set calls it, by their names: `{"carla":
             "walker.pedestrian.0001", "openscenario": "pedestrian"}`; data sets of levelXdata are `levelxdata`.
     """
@@ -312,6 +299,7 @@ class RoadUserModel:
     parameters: Callable[[Scenario], Mapping[str, Any]]
     fastest: float
     height: float
+    mass: float = math.nan
     names: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -123,23 +123,25 @@ _PEDESTRIAN_KERNELS = RoadUserKernels(
 
 
 _FORMATS: Final = ("carla", "metadrive", "openscenario", "osi", "commonroad", "levelxdata")
+_NAMES: Final = {  # empty where a format has no word for it
+    "pedestrian": ("walker.pedestrian.0001", "PEDESTRIAN", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian"),
+    "runner": ("walker.pedestrian.0001", "", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian"),
+    "child": ("walker.pedestrian.0011", "", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian"),
+    "cyclist": ("vehicle.diamondback.century", "CYCLIST", "bicycle", "TYPE_BICYCLE", "bicycle", "bicycle"),
+    "e_scooter": ("", "", "bicycle", "TYPE_STANDUP_SCOOTER", "bicycle", ""),
+    "motorcycle": ("vehicle.kawasaki.ninja", "CYCLIST", "motorbike", "TYPE_MOTORBIKE", "motorcycle", "motorcycle"),
+    "car": ("vehicle.tesla.model3", "VEHICLE", "car", "TYPE_MEDIUM_CAR", "car", "car"),
+    "van": ("vehicle.mercedes.sprinter", "", "van", "TYPE_DELIVERY_VAN", "", "van"),
+}
 
 
-def _names(*names: str) -> dict[str, str]:
-    """Return what each of `_FORMATS` calls a kind; empty where it has no word for it."""
-    return {one: name for one, name in zip(_FORMATS, names, strict=True) if name}
+def _names(kind: str) -> dict[str, str]:
+    """Return what each of `_FORMATS` calls one of these kinds."""
+    return {one: name for one, name in zip(_FORMATS, _NAMES.get(kind, ()), strict=False) if name}
 
 
-_ON_FOOT: Final = _names("walker.pedestrian.0001", "", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian")
-PEDESTRIAN: Final = RoadUserModel(
-    "pedestrian",
-    _PEDESTRIAN_KERNELS,
-    lambda scenario: {},
-    fastest=12.0,
-    height=1.8,
-    names={**_ON_FOOT, "metadrive": "PEDESTRIAN"},
-)
-"""Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m)."""
+def _no_parameters(scenario: Scenario) -> Mapping[str, Any]:
+    return {}
 
 
 # --- walkers, whose part of a state is their velocity to the East and to the North, m/s
@@ -212,17 +214,20 @@ _WALKER_KERNELS = replace(
 
 
 def walker(
-    name: str, acceleration: float, *, fastest: float, height: float, names: Mapping[str, str] | None = None
+    name: str,
+    acceleration: float,
+    *,
+    fastest: float,
+    height: float,
+    mass: float = math.nan,
+    names: Mapping[str, str] | None = None,
 ) -> RoadUserModel:
     """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
-    return RoadUserModel(
-        name,
-        _WALKER_KERNELS,
-        lambda scenario: {"own_change": acceleration * scenario.time_step},
-        fastest,
-        height,
-        names or {},
-    )
+
+    def parameters(scenario: Scenario) -> Mapping[str, Any]:
+        return {"own_change": acceleration * scenario.time_step}
+
+    return RoadUserModel(name, _WALKER_KERNELS, parameters, fastest, height, mass, names or _names(name))
 
 
 # --- on wheels, whose part of a state is heading (rad) and speed (m/s)
@@ -250,8 +255,8 @@ class RidingLimits(NamedTuple):
     acceleration: float
     deceleration: float
     lateral: float
-    turn: float
-    radius: float
+    turn: float = _TURN
+    radius: float = 0.0
 
 
 @kernel(inline=True)
@@ -440,63 +445,32 @@ def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[
 
 
 def wheeled(
-    name: str, limits: RidingLimits, *, fastest: float, height: float, names: Mapping[str, str] | None = None
+    name: str,
+    limits: RidingLimits,
+    *,
+    fastest: float,
+    height: float,
+    mass: float = math.nan,
+    names: Mapping[str, str] | None = None,
 ) -> RoadUserModel:
     """Return a kind of road user on wheels; see `RoadUserModel`."""
-    return RoadUserModel(name, _WHEELED_KERNELS, partial(_wheeled_parameters_of, limits), fastest, height, names or {})
+    parameters = partial(_wheeled_parameters_of, limits)
+    return RoadUserModel(name, _WHEELED_KERNELS, parameters, fastest, height, mass, names or _names(name))
 
 
-# --- the kinds that there are
+# --- the kinds that there are: those on foot weigh as the dummies Hybrid III of a man and of a child of six, and a man
+# rides the others. Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m). Limits: docs/decisions.md.
 
-RUNNER: Final = walker(
-    "runner",
-    acceleration=3.0,  # m/s², in any direction: to start, to turn and to stop
-    fastest=12.0,
-    height=1.8,
-    names=_ON_FOOT,
+PEDESTRIAN: Final = RoadUserModel(
+    "pedestrian", _PEDESTRIAN_KERNELS, _no_parameters, 12.0, height=1.8, mass=78.0, names=_names("pedestrian")
 )
-CHILD: Final = walker(
-    "child",
-    acceleration=2.0,  # needs some steps to get going
-    fastest=8.0,
-    height=1.2,
-    names={**_ON_FOOT, "carla": "walker.pedestrian.0011"},
-)
-CYCLIST: Final = wheeled(
-    "cyclist",
-    RidingLimits(acceleration=1.0, deceleration=3.0, lateral=3.0, turn=_TURN, radius=0.0),  # unhurried; a lean of 17°
-    fastest=20.0,
-    height=1.8,
-    names=_names("vehicle.diamondback.century", "CYCLIST", "bicycle", "TYPE_BICYCLE", "bicycle", "bicycle"),
-)
-E_SCOOTER: Final = wheeled(
-    "e_scooter",
-    RidingLimits(acceleration=1.2, deceleration=3.5, lateral=2.5, turn=_TURN, radius=0.0),  # a lean of 14°
-    fastest=15.0,
-    height=1.9,
-    names=_names("", "", "bicycle", "TYPE_STANDUP_SCOOTER", "bicycle", ""),
-)
-MOTORCYCLE: Final = wheeled(
-    "motorcycle",
-    RidingLimits(acceleration=4.0, deceleration=5.5, lateral=4.0, turn=_TURN, radius=2.5),  # a lean of 22°
-    fastest=85.0,
-    height=1.5,
-    names=_names("vehicle.kawasaki.ninja", "CYCLIST", "motorbike", "TYPE_MOTORBIKE", "motorcycle", "motorcycle"),
-)
-CAR: Final = wheeled(
-    "car",
-    RidingLimits(acceleration=2.5, deceleration=6.0, lateral=4.0, turn=_TURN, radius=5.5),
-    fastest=70.0,
-    height=1.5,
-    names=_names("vehicle.tesla.model3", "VEHICLE", "car", "TYPE_MEDIUM_CAR", "car", "car"),
-)
-VAN: Final = wheeled(
-    "van",
-    RidingLimits(acceleration=2.0, deceleration=5.0, lateral=3.5, turn=_TURN, radius=6.5),
-    fastest=50.0,
-    height=2.4,
-    names=_names("vehicle.mercedes.sprinter", "", "van", "TYPE_DELIVERY_VAN", "", "van"),
-)
+RUNNER: Final = walker("runner", acceleration=3.0, fastest=12.0, height=1.8, mass=78.0)
+CHILD: Final = walker("child", acceleration=2.0, fastest=8.0, height=1.2, mass=23.0)
+CYCLIST: Final = wheeled("cyclist", RidingLimits(1.0, 3.0, 3.0), fastest=20.0, height=1.8, mass=95.0)
+E_SCOOTER: Final = wheeled("e_scooter", RidingLimits(1.2, 3.5, 2.5), fastest=15.0, height=1.9, mass=95.0)
+MOTORCYCLE: Final = wheeled("motorcycle", RidingLimits(4.0, 5.5, 4.0, radius=2.5), fastest=85.0, height=1.5, mass=280.0)
+CAR: Final = wheeled("car", RidingLimits(2.5, 6.0, 4.0, radius=5.5), fastest=70.0, height=1.5, mass=1500.0)
+VAN: Final = wheeled("van", RidingLimits(2.0, 5.0, 3.5, radius=6.5), fastest=50.0, height=2.4, mass=2500.0)
 
 
 def road_user_named(kind: str) -> RoadUserModel:

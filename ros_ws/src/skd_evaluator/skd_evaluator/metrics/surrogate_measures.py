@@ -28,7 +28,7 @@ reaches into this strip; both as they went, and nothing is predicted. It is defi
 * Closing speed: how fast the two come together at the contact, the amount of their relative velocity.
 * Delta-v: how much each one's velocity changes where both go on together, as in a plastic impact without rotation:
   the closing speed by the other's share of the mass (S. M. Shelby, "Delta-V as a measure of traffic conflict severity",
-  3rd International Conference on Road Safety and Simulation, 2011). Masses are those of `MASSES`: nobody weighs them.
+  3rd International Conference on Road Safety and Simulation, 2011). Masses are those of the kinds of road user.
 * Risk that a pedestrian dies: Q. Hussain, H. Feng, R. Grzebieta, T. Brijs and J. Olivier, "The relationship between
   impact speed and the probability of pedestrian fatality during a vehicle-pedestrian crash: a systematic review and
   meta-analysis", Accident Analysis and Prevention 129, 2019: odds that grow by 11 % a km/h (95 % interval 10 to 12 %)
@@ -48,6 +48,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
 from skd_sim.world.state import CarState, RoadUserState
@@ -463,11 +464,6 @@ ODDS, ODDS_INTERVAL = 1.11, (1.10, 1.12)
 """By which the odds grow for each km/h."""
 CAR_MASS = 1500.0
 """kg, of the car under test: about the mean of new cars in Europe."""
-MASSES = {
-    "pedestrian": 78.0, "runner": 78.0, "child": 23.0, "cyclist": 95.0, "e_scooter": 95.0, "motorcycle": 280.0,
-    "car": CAR_MASS, "van": 2500.0,
-}  # fmt: skip
-"""kg, by kind: those on foot are the dummies Hybrid III of a man and of a child of six, and a man rides the others."""
 
 
 @dataclass(frozen=True)
@@ -492,8 +488,8 @@ def delta_v(closing: float, mass: float, other_mass: float) -> float:
 
 def greater_delta_v(closing: float, kind: str) -> float:
     """Return how much the velocity changes of whom it changes more, the car or one of a kind, m/s; nan: not known."""
-    mass = MASSES.get(kind, math.nan)
-    return delta_v(closing, min(mass, CAR_MASS), max(mass, CAR_MASS)) if kind in MASSES else math.nan
+    mass = ROAD_USERS.find(kind).mass if kind in ROAD_USERS else math.nan
+    return delta_v(closing, min(mass, CAR_MASS), max(mass, CAR_MASS))
 
 
 def fatality_risk(closing: float) -> Risk:

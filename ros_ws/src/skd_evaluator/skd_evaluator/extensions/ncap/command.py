@@ -12,6 +12,7 @@ from pathlib import Path
 from skd_sim.errors import UsageError
 from skd_sim.options.options import options_of, values_of
 from skd_sim.scenario.scenario_file import REGULATORY
+from skd_sim.start import installing
 from skd_sim.world.episode import EpisodeLog
 
 from skd_evaluator.assessment.files.result_folder import write_json
@@ -38,7 +39,6 @@ from skd_evaluator.extensions.ncap.result import (
     as_data,
     points_of,
     with_calculator,
-    without_calculator,
 )
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.provenance import provenance
@@ -145,5 +145,7 @@ def _found(request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
         margin_limit=request.margin_limit,
         grids=tuple(grids),
         points=tuple(points_of(grids)) if counts else (),
-        points_why="" if counts else without_calculator(),
+        points_why=""
+        if counts
+        else f"Euro NCAP's own calculator counts them, and is not installed: {installing('ncap')}",
     )

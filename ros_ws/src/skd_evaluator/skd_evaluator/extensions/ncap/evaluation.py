@@ -21,7 +21,7 @@ from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_ma
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import StaticTest, static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, ProtocolMatrix, colour_of, matrix_of
+from skd_evaluator.extensions.ncap.matrices import Criterion, ProtocolMatrix, colour_of, matrix_of
 from skd_evaluator.extensions.ncap.result import Grid, NcapCell
 from skd_evaluator.metrics.margins import Margins
 
@@ -38,16 +38,13 @@ def rounded_kmh(speed: float) -> float:
     return round(speed, _ROUNDED) + 0.0  # no −0
 
 
-def with_test(
-    cell: NcapCell, tested: StaticTest, target: float, point: MatrixPoint | None, why_none: str = ""
-) -> NcapCell:
+def with_test(cell: NcapCell, tested: StaticTest, target: float, why_none: str = "") -> NcapCell:
     """Return a cell with what came of its static test.
 
     Args:
         cell: the cell.
         tested: its test.
         target: speed of the target in that, km/h.
-        point: what 2026's matrix has there; None: nothing.
         why_none: why the car's own driving makes it no test; empty if it does not, or it is not known.
     """
     if tested.aborted:
@@ -56,44 +53,25 @@ def with_test(
     cell = replace(cell, touched=tested.touched, impact_speed=impact, braking_ttc=tested.braking_ttc)
     if tested.touched and not tested.target:
         return replace(cell, why="the car touched another road user than the target")
-    if point is None:
+    if not cell.criterion or cell.target is None:
         return cell
     fastest = KMH * tested.fastest
-    if fastest > point.speed + FASTER:
-        return replace(cell, why=f"the car speeds up to {fastest:.0f} km/h, which is no test at {point.speed:g} km/h")
+    if fastest > cell.speed + FASTER:
+        return replace(cell, why=f"the car speeds up to {fastest:.0f} km/h, which is no test at {cell.speed:g} km/h")
     if why_none:
         return replace(cell, why=why_none)
-    if not math.isclose(target, point.target, abs_tol=SAME):
-        said = f"the test's target has {point.target:g} km/h, this one {target:.3g} km/h"
+    if not math.isclose(target, cell.target, abs_tol=SAME):
+        said = f"the test's target has {cell.target:g} km/h, this one {target:.3g} km/h"
         return replace(cell, target=None, why=said)
     value = {
         Criterion.RELATIVE: rounded_kmh(impact - rounded_kmh(KMH * tested.speed_ahead)),
         Criterion.IMPACT: impact,
-        Criterion.REDUCTION: rounded_kmh(point.speed - impact),
-    }[point.criterion]
-    return replace(cell, value=value, colour=colour_of(point.criterion, point.speed, value))
+        Criterion.REDUCTION: rounded_kmh(cell.speed - impact),
+    }[Criterion(cell.criterion)]
+    return replace(cell, value=value, colour=colour_of(Criterion(cell.criterion), cell.speed, value))
 
 
-@dataclass(frozen=True)
-class NcapTest:
-    """A cell that is requested.
-
-    Attributes:
-        speed: test speed, km/h.
-        place: impact place, %; None: that of the scenario.
-        target: speed of the target, km/h; None: that of the scenario.
-        point: what 2026's matrix has there.
-        why: why it has nothing.
-    """
-
-    speed: float
-    place: float | None
-    target: float | None = None
-    point: MatrixPoint | None = None
-    why: str = ""
-
-
-def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[ProtocolMatrix | None, list[NcapTest]]:
+def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
     """Return the matrix that a scenario belongs to, and its cells at some test speeds (km/h; None: the matrix's).
 
     Raises:
@@ -109,16 +87,16 @@ def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[Protoc
     points = () if matrix is None else matrix.points
     places = scenario.protocol.impact_places
     own = [rounded_kmh(KMH * scenario.car.start_speed)]
-    cells: list[NcapTest] = []
+    targets = list(dict.fromkeys(one.target for one in points if one.place is None))
+    cells: list[NcapCell] = []
     for speed in speeds or list(dict.fromkeys(point.speed for point in points)) or own:
         here = [one for one in points if one.speed == speed and (one.place is None or one.place in places)]
-        cells += [NcapTest(speed, one.place, one.target, one) for one in here]
         if here:
-            continue
-        targets = list(dict.fromkeys(one.target for one in points if one.place is None))
-        cells += [NcapTest(speed, None, target, None, why_none(matrix, speed)) for target in targets]
-        if not targets:
-            cells += [NcapTest(speed, place, None, None, why_none(matrix, speed, place)) for place in places]
+            cells += map(NcapCell.of_point, here)
+        elif targets:
+            cells += [NcapCell(speed=speed, target=one, why=why_none(matrix, speed)) for one in targets]
+        else:
+            cells += [NcapCell(speed=speed, place=one, why=why_none(matrix, speed, one)) for one in places]
     return matrix, cells
 
 
@@ -132,7 +110,7 @@ def why_none(matrix: ProtocolMatrix | None, speed: float, place: float = 0.0) ->
     return f"{matrix.test} has no impact place of {place:g} %{f' at {speed:g} km/h' if anywhere else ''}"
 
 
-def scenario_of(source: str, test: NcapTest, matrix: ProtocolMatrix | None) -> Scenario:
+def scenario_of(source: str, test: NcapCell, matrix: ProtocolMatrix | None) -> Scenario:
     """Return the scenario of a cell, with one impact place.
 
     The target's speed is the matrix's where that has several; a target of another speed than the only one is let be.
@@ -204,11 +182,11 @@ def evaluated_grid(
         refused = str(error)
     left = iter(logs)
     cells: list[NcapCell] = []
-    for done, ((cell, plan, _), one) in enumerate(zip(begun, tests, strict=True), start=1):
+    for done, (cell, plan, _) in enumerate(begun, start=1):
         if plan is not None and refused:
             cell = replace(cell, why=refused, margin_why=refused)
         elif plan is not None:
-            cell = _with_margin(_with_test(cell, next(left), plan, one.point, runner), plan, request, runner)
+            cell = _with_margin(_with_test(cell, next(left), plan, runner), plan, request, runner)
         cells.append(cell)
         progress(source, done, len(tests))
     return grid_of(source, load_scenario(source), cells, matrix), logs
@@ -222,12 +200,11 @@ def grid_of(name: str, scenario: Scenario, cells: Sequence[NcapCell], matrix: Pr
 
 
 def _begun(
-    source: str, test: NcapTest, matrix: ProtocolMatrix | None, request: NcapRequest
+    source: str, cell: NcapCell, matrix: ProtocolMatrix | None, request: NcapRequest
 ) -> tuple[NcapCell, Plan | None, EpisodeSpec | None]:
-    """Return an empty cell, its plan and its static test, if there are any."""
-    cell = NcapCell(speed=test.speed, target=test.target, place=test.place, why=test.why).in_matrix(test.point)
+    """Return a cell, its plan and its static test, if there are any."""
     try:
-        scenario = scenario_of(source, test, matrix)
+        scenario = scenario_of(source, cell, matrix)
         clocked = with_control_period(scenario, request.control_period, request.plan.controller)
         plan = replace(request.plan, scenario=clocked, safe=REGULATORY, safe_count=1)
         (episode,) = static_episodes(plan.scenario, plan.car)
@@ -236,11 +213,11 @@ def _begun(
     return cell, plan, episode
 
 
-def _with_test(cell: NcapCell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: Workers) -> NcapCell:
+def _with_test(cell: NcapCell, log: EpisodeLog, plan: Plan, runner: Workers) -> NcapCell:
     protocol = plan.scenario.protocol
     assert protocol is not None
-    why_none = "" if point is None or plan.car.is_own else _why_no_test(plan, point.speed, runner)
-    return with_test(cell, StaticTest.of(protocol.impact_places[0], log), KMH * protocol.speed, point, why_none)
+    why_none = "" if not cell.criterion or plan.car.is_own else _why_no_test(plan, cell.speed, runner)
+    return with_test(cell, StaticTest.of(protocol.impact_places[0], log), KMH * protocol.speed, why_none)
 
 
 def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:

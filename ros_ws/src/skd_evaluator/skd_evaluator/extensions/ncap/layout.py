@@ -111,7 +111,7 @@ def headline(grid: Grid) -> str:
 
 
 def reasons(grid: Grid) -> list[str]:
-    """Return why colours differ, and why cells have none, no margin or only a bound of it, a line for each reason."""
+    """Return why cells have no colour, no margin or only a bound of it, a line for each reason."""
     kinds: dict[str, Callable[[NcapCell], bool]] = {
         "the search for the margin has not converged, which is an upper bound: try a greater --margin-limit": (
             lambda cell: not cell.converged
@@ -128,24 +128,7 @@ def reasons(grid: Grid) -> list[str]:
         for why in dict.fromkeys(filter(None, (cell.why, cell.margin_why and f"no margin: {cell.margin_why}"))):
             if why != f"no margin: {cell.why}":
                 found.setdefault(why, []).append(cell)
-    return [*_braking(grid), *(f"{_cells(cells, grid)}: {why}" for why, cells in found.items())]
-
-
-def _braking(grid: Grid) -> list[str]:
-    """Return why a slow test is failed and a faster one at the same place passed, where the time left says it."""
-    known = [cell for cell in grid.cells if cell.colour and cell.braking_ttc is not None]
-    for slow in known:
-        faster = [
-            cell for cell in known if cell.speed > slow.speed and (cell.place, cell.colour) == (slow.place, GREEN)
-        ]
-        if slow.colour == GREEN or not faster or (faster[-1].braking_ttc or 0.0) <= (slow.braking_ttc or 0.0):
-            continue
-        return [
-            f"Why {slow.speed:g} km/h is {slow.colour} and {faster[-1].speed:g} km/h green: the car begins to brake "
-            f"{slow.braking_ttc:.1f} s before the target at {slow.speed:g} km/h, and {faster[-1].braking_ttc:.1f} s "
-            f"before at {faster[-1].speed:g} km/h ({cell_name(slow).partition(', ')[2]})"
-        ]
-    return []
+    return [f"{_cells(cells, grid)}: {why}" for why, cells in found.items()]
 
 
 def _cells(cells: Sequence[NcapCell], grid: Grid) -> str:

@@ -16,7 +16,6 @@ from skd_evaluator.extensions.ncap import layout
 from skd_evaluator.extensions.ncap.evaluation import (
     KMH,
     SAME,
-    NcapTest,
     grid_of,
     requested_tests,
     rounded_kmh,
@@ -84,9 +83,8 @@ def _cells(one: Subject) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
     matrix, found = None, []
     for entry in figures["static_tests"]:
         tested = StaticTest(**entry)
-        matrix, wanted = _wanted(scenario, tested.place)
-        cell = NcapCell(speed=wanted.speed, target=wanted.target, place=wanted.place, why=wanted.why)
-        cell = with_test(cell.in_matrix(wanted.point), tested, KMH * scenario.protocol.speed, wanted.point)
+        matrix, cell = _cell_of(scenario, tested.place)
+        cell = with_test(cell, tested, KMH * scenario.protocol.speed)
         margins = one.margins[places.index(tested.place)]
         if margins.size:
             beyond = int((margins >= float(figures["eta_max"])).sum())
@@ -99,11 +97,11 @@ def _cells(one: Subject) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
     return matrix, found
 
 
-def _wanted(scenario: Scenario, place: float) -> tuple[ProtocolMatrix | None, NcapTest]:
+def _cell_of(scenario: Scenario, place: float) -> tuple[ProtocolMatrix | None, NcapCell]:
     """Return the matrix of a result's scenario, and which of its cells an impact place at the scenario's speed is."""
     assert scenario.protocol is not None
     speed, target = rounded_kmh(KMH * scenario.car.start_speed), KMH * scenario.protocol.speed
-    bare = NcapTest(speed, place)
+    bare = NcapCell(speed=speed, place=place)
     try:
         known = next((name for name in lineage(scenario.name) if matrix_of(name) is not None), None)
     except UsageError:

@@ -17,7 +17,6 @@ from typing import Annotated, Any, Final
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
 from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, read_model
-from skd_sim.start import installing
 
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.files.verification import Verified
@@ -89,11 +88,13 @@ class NcapCell(Frozen):
         """Return whether it is passed with a margin less than this, m; not of one that is green though it hits."""
         return self.colour == GREEN and not self.impact_speed and self.margin is not None and self.margin < room
 
-    def in_matrix(self, point: MatrixPoint | None) -> NcapCell:
-        """Return it with the range in which it is, and what its colour goes by."""
-        if point is None:
-            return self
-        return replace(self, range="standard" if point.standard else "extended", criterion=str(point.criterion))
+    @classmethod
+    def of_point(cls, point: MatrixPoint) -> NcapCell:
+        """Return the cell of a test of a matrix, before it has run."""
+        range_of = "standard" if point.standard else "extended"
+        return cls(
+            speed=point.speed, target=point.target, place=point.place, range=range_of, criterion=str(point.criterion)
+        )
 
 
 @dataclass(frozen=True)
@@ -209,11 +210,6 @@ def _contradiction(cell: NcapCell, trials: int) -> str:
 PACKAGE = "euroncap_rating_2026"
 
 
-def without_calculator() -> str:
-    """Return why there are no points, where the calculator is not installed."""
-    return f"they are computed by Euro NCAP's own calculator, which is not installed: {installing('ncap')}"
-
-
 def with_calculator() -> bool:
     """Return whether the calculator is installed; it is not imported."""
     return find_spec(PACKAGE) is not None
@@ -231,10 +227,10 @@ def points_of(grids: Sequence[Grid]) -> list[Points]:
 def _points(test: str, grids: Sequence[Grid]) -> Points:
     names = scenarios_of(test)
     cells = [cell for grid in grids if grid.scenario in names for cell in grid.cells if cell.colour]
-    wanted = sum(len(one.points) for name in names if (one := matrix_of(name)) is not None)
-    if len(cells) != wanted:
+    needed = sum(len(one.points) for name in names if (one := matrix_of(name)) is not None)
+    if len(cells) != needed:
         return Points(
-            test, why=f"{len(cells)} of {wanted} tests have a colour; they are those of {' and '.join(names)}"
+            test, why=f"{len(cells)} of {needed} tests have a colour; they are those of {' and '.join(names)}"
         )
     modules = ("crash_avoidance.matrix_processing", "crash_avoidance.test_info", "common")
     kinds, scores, colours = (import_module(f"{PACKAGE}.{name}") for name in modules)
