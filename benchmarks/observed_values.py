@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.kernels.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import bound, kernel, template, unbound
 
 _CHUNK = 4096  # states whose outcomes are drawn at a time
 _MOST = 10**8  # pairs of state and action: some gigabytes
@@ -72,6 +72,7 @@ def observed_leaf_value(leaves: ObservedLeaves, state: FloatArray) -> float:
     return leaves.values[index] if index >= 0 else 0.0
 
 
+@template(inline=False)
 def _outcomes_template(
     parameters: Any,
     grid: StateGrid,
@@ -157,9 +158,9 @@ def _sweep(
 
 @functools.cache
 def _outcomes_kernel(name: str, step: Callable[..., Any], legal: Callable[..., Any] | None) -> Callable[..., Any]:
-    if legal is None:
-        return specialise(_outcomes_template, name, {"_step": step})
-    return specialise(_outcomes_template, f"{name}_legal", {"_step": step, "_legal": legal})
+    parts = {"_step": step} if legal is None else {"_step": step, "_legal": legal}
+    found: Callable[..., Any] = bound(_outcomes_template, name, parts)
+    return found
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ def doubled(value):
 """
 MODEL = """
 from typing import NamedTuple
-from skd_sim.kernels.compilation import kernel, specialise
+from skd_sim.kernels.compilation import bound, kernel, template
 import helpers_of_mine
 from helpers_of_mine import doubled
 
@@ -46,14 +46,13 @@ class Parameters(NamedTuple):
 def step(parameters, seconds):
     return doubled(helpers_of_mine.fall(seconds)) + parameters.far
 
-def _unbound(*arguments): raise NotImplementedError
+_step = None
 
-_step = _unbound
-
+@template(inline=False)
 def _search_template(parameters, seconds):
     return _step(parameters, seconds)
 
-print(specialise(_search_template, "mine", {"_step": step})(Parameters(near=1.0, far=100.0), 2.0))
+print(bound(_search_template, "mine", {"_step": step})(Parameters(near=1.0, far=100.0), 2.0))
 """
 
 
@@ -146,7 +145,7 @@ def test_two_models_of_one_name_do_not_share_code_on_disk(compiled):
     """They come one after the other, in processes of their own."""
     other = MODEL.replace('{"_step": step}', '{"_step": step2}') + ""
     other = other.replace(
-        "def _unbound", "@kernel\ndef step2(parameters, seconds):\n    return seconds\n\ndef _unbound", 1
+        "_step = None", "@kernel\ndef step2(parameters, seconds):\n    return seconds\n\n_step = None", 1
     )
     (compiled / "model.py").write_text(other)
     assert answer(compiled) == 2.0

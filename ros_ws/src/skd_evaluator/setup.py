@@ -10,6 +10,7 @@ setup(
     packages=find_packages(),
     package_data={
         PACKAGE: [
+            "__init__.pyi",
             "py.typed",
             "extensions/ncap/templates/*",
             "report/html/templates/*",

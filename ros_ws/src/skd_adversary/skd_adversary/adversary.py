@@ -21,7 +21,7 @@ from skd_adversary.crossing.cars import (
 from skd_adversary.crossing.model import compose, road_user_parts
 from skd_adversary.crossing.objectives import SAFE, objective_named
 from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, CarPrediction
-from skd_adversary.crossing.path import velocities_of, velocity_at
+from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.planner import Planner
@@ -92,7 +92,8 @@ class PlanningAdversary:
         self._sensor_rng = generator(episode.seed, episode.episode_id, Role.SENSOR)
         self._position, self._tick = episode.start, 0
         self._parameters = model.parameters
-        self._phi = velocities_of(model.parameters.path, scenario.time_step)
+        phi = model.parameters.path
+        self._phi = path_velocities(phi, len(phi), scenario.time_step).tolist()  # the last: it stands at its end
         self._action: int | None = None
         rng = generator(episode.seed, episode.episode_id, Role.PLANNER)
         self._belief = ParticleBelief(model, particles, rng)
@@ -127,7 +128,7 @@ class PlanningAdversary:
         self._action = self._planner.plan(self._belief)
         step, own = self._scenario.time_step, self._belief.particles[0]  # all of them have the road user's own state
         if self._action == self._road_user.action_count:  # as φ
-            vx, vy = self._possible(self._parameters, own, *velocity_at(self._phi, self._tick))
+            vx, vy = self._possible(self._parameters, own, *self._phi[min(self._tick, len(self._phi) - 1)])
         else:
             vx, vy = self._velocity(self._parameters, own, self._action)
         self._tick += 1
@@ -142,14 +143,14 @@ class ReplayAdversary:
 
     def __init__(self, trajectory: Trajectory) -> None:
         """Follow `trajectory` from its first point."""
-        self._velocities = velocities_of(trajectory.positions, trajectory.time_step)
+        self._velocities = path_velocities(trajectory.positions, len(trajectory), trajectory.time_step).tolist()
         self._tick = 0
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Return the velocity to the next point; see `Adversary.act`."""
-        velocity = velocity_at(self._velocities, self._tick)
+        vx, vy = self._velocities[min(self._tick, len(self._velocities) - 1)]
         self._tick += 1
-        return velocity
+        return vx, vy
 
 
 def predicted_car(episode: EpisodeSpec) -> CarPrediction:

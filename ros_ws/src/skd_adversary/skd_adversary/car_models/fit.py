@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,6 +25,8 @@ from skd_adversary.car_models.identifiability import (
     Identification,
     IntervalEstimate,
     half_width_estimate,
+    normal_estimate,
+    step_estimate,
 )
 from skd_adversary.car_models.laws import (
     Law,
@@ -34,12 +37,12 @@ from skd_adversary.car_models.laws import (
     evidence,
     fit_family,
     folds_of,
-    gate_estimate,
+    gate_profile,
     integral_transform,
     kolmogorov_smirnov,
-    sharp_estimate,
     sharp_spread,
     spread_estimates,
+    trigger_profile,
 )
 from skd_adversary.car_models.observations import Observations
 from skd_adversary.car_models.speed_change import (
@@ -155,7 +158,7 @@ def _law_parameters(
     law, e = chosen.law, chosen.evidence
     why, make = counts.why_no_law(), functools.partial(counts.parameter, measure=law.family.measure)
     if law.family.spread == "sharp":
-        trigger = make("trigger", lambda: sharp_estimate(e, law), why, "uniform")
+        trigger = make("trigger", lambda: step_estimate(*trigger_profile(e, law)), why, "uniform")
         spread = make("trigger_spread", lambda: sharp_spread(e, law), why, "uniform", limit=None)
         if spread.identifiable:
             spread = replace(spread, prior=ParameterPrior("point", 0.0))  # the family says so
@@ -165,7 +168,7 @@ def _law_parameters(
         spread = make("trigger_spread", lambda: both[1], why)
     found = {"trigger": trigger, "trigger_spread": spread}
     if law.family.gate != "none":
-        found["path_half_width"] = make("path_half_width", lambda: gate_estimate(e, law), why, "uniform")
+        found["path_half_width"] = make("path_half_width", lambda: step_estimate(*gate_profile(e, law)), why, "uniform")
     delay = functools.partial(_delay_estimate, law, candidates, time_step)
     found["reaction_delay"] = make("reaction_delay", delay, why, "uniform", limit=None)
     return found
@@ -217,10 +220,8 @@ def _free_parameters(
             found["cruise_acceleration"] = make("cruise_acceleration", lambda: pulled[2], "")
         return found
     # A car that does not return to a speed cruises at the one that it is started with.
-    deviation = float(starts.std()) / math.sqrt(max(1, starts.size))
-    half = 1.96 * deviation
-    mean = float(starts.mean())
-    cruise = make("cruise_speed", lambda: IntervalEstimate(mean, deviation, mean - half, mean + half), why)
+    mean, deviation = float(starts.mean()), float(starts.std()) / math.sqrt(max(1, starts.size))
+    cruise = make("cruise_speed", lambda: normal_estimate(mean, deviation), why)
     still = make("cruise_gain", lambda: IntervalEstimate(0.0, 0.0, 0.0, 0.0), why, "uniform")
     return {"cruise_speed": cruise, "cruise_gain": still, "speed_noise": noise}
 
@@ -249,12 +250,9 @@ def _pull_estimates(
     toward = np.array([offset / slope**2, -1.0 / slope])  # of −offset/slope
     cruise_error = math.sqrt(float(toward @ covariance @ toward))
     gain_error = math.sqrt(float(covariance[0, 0]))
-    cruise, gain, limit = change.cruise_speed, change.gain, change.limit
-    return (
-        IntervalEstimate(cruise, cruise_error, cruise - 1.96 * cruise_error, cruise + 1.96 * cruise_error),
-        IntervalEstimate(gain, gain_error, gain - 1.96 * gain_error, gain + 1.96 * gain_error),
-        IntervalEstimate(limit, limit_error, limit - 1.96 * limit_error, limit + 1.96 * limit_error),
-    )
+    pairs = (change.cruise_speed, cruise_error), (change.gain, gain_error), (change.limit, limit_error)
+    cruise, gain, limit = itertools.starmap(normal_estimate, pairs)
+    return cruise, gain, limit
 
 
 def _calibration(data: Observations, change: SpeedChange, law: Law, seed: int) -> LawCalibration | None:

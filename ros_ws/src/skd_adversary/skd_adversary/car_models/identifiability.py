@@ -41,6 +41,11 @@ class IntervalEstimate:
     high: float
 
 
+def normal_estimate(value: float, error: float) -> IntervalEstimate:
+    """Return an estimate whose error is normal, by its standard error."""
+    return IntervalEstimate(value, error, value - 1.96 * error, value + 1.96 * error)
+
+
 def half_width_estimate(largest: float, count: int) -> IntervalEstimate:
     """Return the half-width of uniform noise from the largest of `count` absolute draws; the interval is exact.
 
@@ -134,6 +139,13 @@ def wide_prior(name: str, measure: str, start_speed: float) -> ParameterPrior:
     return ParameterPrior("uniform", *limits[name])
 
 
+def _too_few(*counts: tuple[int, int, str]) -> str:
+    """Return the first of what there is too little of: number, least number, name; empty if there is enough of all."""
+    return next(
+        (f"only {count} {what}, at least {least} are needed" for count, least, what in counts if count < least), ""
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Identification:
     """Turns estimates into parameters, or into the reason why there is none, by the counts of the logs.
@@ -156,29 +168,21 @@ class Identification:
 
     def why_not_free(self) -> str:
         """Return why the logs say nothing of driving freely; empty if they do."""
-        if self.logs < LEAST_LOGS:
-            return f"only {self.logs} logs, at least {LEAST_LOGS} are needed"
-        if self.free < LEAST_FREE_TICKS:
-            return f"only {self.free} ticks of free driving, at least {LEAST_FREE_TICKS} are needed"
-        return ""
+        return _too_few((self.logs, LEAST_LOGS, "logs"), (self.free, LEAST_FREE_TICKS, "ticks of free driving"))
 
     def why_not_braking(self) -> str:
         """Return why the logs say nothing of braking; empty if they do."""
         if self.braking == 0:
             return f"the car never brakes in {self.logs} logs"
-        if self.logs < LEAST_LOGS:
-            return f"only {self.logs} logs, at least {LEAST_LOGS} are needed"
-        if self.braking < LEAST_BRAKING_TICKS:
-            return f"only {self.braking} ticks with braking, at least {LEAST_BRAKING_TICKS} are needed"
-        if self.braking_logs < LEAST_BRAKING_LOGS:
-            return f"the car brakes in only {self.braking_logs} logs, at least {LEAST_BRAKING_LOGS} are needed"
-        return ""
+        return _too_few(
+            (self.logs, LEAST_LOGS, "logs"),
+            (self.braking, LEAST_BRAKING_TICKS, "ticks with braking"),
+            (self.braking_logs, LEAST_BRAKING_LOGS, "logs with braking"),
+        )
 
     def why_no_law(self) -> str:
         """Return why the logs do not say when the car brakes; empty if they do."""
-        why = self.why_not_braking()
-        if not why and self.free < LEAST_FREE_TICKS:
-            return f"only {self.free} ticks without braking, at least {LEAST_FREE_TICKS} are needed"
+        why = self.why_not_braking() or _too_few((self.free, LEAST_FREE_TICKS, "ticks without braking"))
         if not why and self.lapse > LARGEST_LAPSE:
             return f"{100 * self.lapse:.0f} % of the ticks go against the best law: no family explains this car"
         return why

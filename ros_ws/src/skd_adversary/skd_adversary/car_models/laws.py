@@ -166,16 +166,14 @@ def _profile(position: FloatArray, gain: FloatArray, largest: float) -> tuple[Fl
 
 def trigger_profile(e: BrakingEvidence, law: Law) -> tuple[FloatArray, FloatArray]:
     """Return (edges, values) of the log-likelihood, up to a constant, as a function of a sharp trigger."""
-    _, gain = _gains(e, law.lapse)
     chosen = e.aside <= law.gate
-    return _profile(e.nearness[chosen], gain[chosen], LARGEST_TRIGGER[law.family.measure])
+    return _profile(e.nearness[chosen], _gains(e, law.lapse)[1][chosen], LARGEST_TRIGGER[law.family.measure])
 
 
 def gate_profile(e: BrakingEvidence, law: Law) -> tuple[FloatArray, FloatArray]:
     """Return (edges, values) of the log-likelihood, up to a constant, as a function of the path's half-width."""
-    _, gain = _gains(e, law.lapse)
     chosen = e.nearness <= law.trigger
-    return _profile(e.aside[chosen], gain[chosen], LARGEST_GATE)
+    return _profile(e.aside[chosen], _gains(e, law.lapse)[1][chosen], LARGEST_GATE)
 
 
 def _sharp(family: Family, e: BrakingEvidence, lapse: float, gate: float) -> Law:
@@ -251,12 +249,9 @@ def _spread_likelihoods(segments: _Segments, trigger: float, spread: float) -> F
     lower, upper, values, starts = segments
     a, b = (lower - trigger) / spread, (upper - trigger) / spread
     flip = a > 0.0  # the tail on the near side keeps its digits
-    with np.errstate(invalid="ignore"):
-        mass = np.where(
-            flip, scipy.special.ndtr(-a) - scipy.special.ndtr(-b), scipy.special.ndtr(b) - scipy.special.ndtr(a)
-        )
-    with np.errstate(divide="ignore"):
-        terms = values + np.log(mass)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        below, above = np.where(flip, -b, a), np.where(flip, -a, b)
+        terms = values + np.log(scipy.special.ndtr(above) - scipy.special.ndtr(below))
     tops = np.maximum.reduceat(terms, starts)
     counts = np.diff(np.append(starts, terms.size))
     return np.asarray(tops + np.log(np.add.reduceat(np.exp(terms - np.repeat(tops, counts)), starts)))
@@ -334,16 +329,6 @@ def fit_family(family: Family, e: BrakingEvidence, sharp: Law | None = None, nea
         if best is None or found.fun < best.fun:
             best = found
     return replace(law, trigger=float(best.x[0]), spread=float(np.exp(best.x[1])), log_likelihood=-float(best.fun))
-
-
-def sharp_estimate(e: BrakingEvidence, law: Law) -> IntervalEstimate:
-    """Return the trigger of a sharp law with what the data leave open about it."""
-    return step_estimate(*trigger_profile(e, law))
-
-
-def gate_estimate(e: BrakingEvidence, law: Law) -> IntervalEstimate:
-    """Return the half-width of the path with what the data leave open about it."""
-    return step_estimate(*gate_profile(e, law))
 
 
 DELAYS = range(LONGEST_DELAY + 1)
@@ -460,7 +445,7 @@ def _resolved(candidate: LawCandidate) -> bool:
     if law.family.spread == "sharp":
         return True
     sharp = fit_family(replace(law.family, spread="sharp"), candidate.evidence)
-    return law.spread > 2.0 * sharp_estimate(candidate.evidence, sharp).standard_error
+    return law.spread > 2.0 * step_estimate(*trigger_profile(candidate.evidence, sharp)).standard_error
 
 
 _SPREAD_POINTS = 31

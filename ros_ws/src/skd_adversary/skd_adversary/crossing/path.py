@@ -9,7 +9,6 @@ itself. Values are squared distances, m².
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from skd_sim.arrays import FloatArray
@@ -44,16 +43,6 @@ def path_velocities(path: FloatArray, ticks: int, time_step: float) -> FloatArra
     own = min(ticks, len(path) - 1)
     found[:own] = (path[1 : own + 1] - path[:own]) / time_step
     return found
-
-
-def velocities_of(path: FloatArray, time_step: float) -> list[tuple[float, float]]:
-    """Return φ's velocities from each of its points (n × 2, m) to the next, n − 1 of (East, North), m/s."""
-    return [(vx, vy) for vx, vy in path_velocities(path, len(path) - 1, time_step).tolist()]
-
-
-def velocity_at(velocities: Sequence[tuple[float, float]], tick: int) -> tuple[float, float]:
-    """Return that of a tick of `velocities_of`; 0 after φ's end."""
-    return velocities[tick] if tick < len(velocities) else (0.0, 0.0)
 
 
 def polyline_segments(path: FloatArray) -> FloatArray:

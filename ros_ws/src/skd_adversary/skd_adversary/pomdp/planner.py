@@ -23,7 +23,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
@@ -55,7 +55,6 @@ from skd_adversary.pomdp.tree import (
     most_alike_child,
     most_tried_mean,
     nearest_child,
-    no_returns,
     note_return,
     note_value,
     profile_of,
@@ -392,7 +391,7 @@ class Planner:
         self._rng = stream_of(rng)
         self._tree = tree
         self._roots = np.zeros(options.simulations, np.uint32)
-        self._returns = no_returns(tree.statistics.shape[1])
+        self._returns = np.zeros((model.action_count, 3))
         self._search = _search_kernel(
             model.name,
             model.step,
@@ -499,16 +498,6 @@ class Planner:
         return float(exploration_from(self._options.ucb_constant, self._returns))
 
 
-class DecisionMaker(Protocol):
-    """Whoever decides: a planner, or a policy in its place."""
-
-    def plan(self, belief: ParticleBelief) -> int:
-        """Return an action."""
-
-    def advance(self, action: int, observation: FloatArray) -> None:
-        """Be told what was done and what was observed after it."""
-
-
 @dataclass(frozen=True)
 class Played:
     """An episode that was played.
@@ -525,14 +514,14 @@ class Played:
 
 
 def play(
-    model: Pomdp, belief: ParticleBelief, planner: DecisionMaker, rng: np.random.Generator, *, moves: int = 1000
+    model: Pomdp, belief: ParticleBelief, planner: Planner, rng: np.random.Generator, *, moves: int = 1000
 ) -> Played:
     """Play an episode.
 
     Args:
         model: the world; the planner may plan with another model of the same states, such as one with leaf values.
         belief: belief at the beginning; it is updated in the episode.
-        planner: chooses the actions.
+        planner: chooses the actions; a policy with its methods `plan` and `advance` may take its place.
         rng: generator of what happens in the world.
         moves: greatest number of moves.
 

@@ -208,11 +208,6 @@ def tables_of(size: int, factor: float, exponent: float) -> Tables:
     )
 
 
-def no_returns(actions: int) -> FloatArray:
-    """Return the array (actions × 3) that the kernels below keep; see `RETURNS`."""
-    return np.zeros((actions, 3))
-
-
 @kernel(inline=True)
 def forget_returns(seen: FloatArray) -> None:
     """Begin a decision."""

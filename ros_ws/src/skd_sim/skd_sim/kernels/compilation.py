@@ -321,37 +321,8 @@ class _InlinedKernel(type(numba.njit(lambda: None))):  # type: ignore[misc]
 
 
 def unbound(*_arguments: Any) -> Any:
-    """Stand, in a template, for a kernel that `specialise` binds."""
-    raise NotImplementedError("bound to the model's kernel by `specialise`")
-
-
-def specialise(
-    template: Callable[..., Any],
-    name: str,
-    bindings: Mapping[str, Any],
-    *,
-    allocates: bool = True,
-    inline: bool = False,
-) -> Callable[..., Any]:
-    """Compile a copy of `template` in which the global names of `bindings` stand for other kernels.
-
-    This is how one planner serves many models at full speed: the model's kernels are inlined as if the
-    planner had been written for it, and, unlike a closure over kernels, the result can be cached on disk.
-
-    Args:
-        template: plain (uncompiled) function that calls the bound names as globals.
-        name: name of this specialisation, by which a reader of profiles and of the cache knows it.
-        bindings: global name → kernel.
-        allocates: whether it allocates memory, as in `kernel`.
-        inline: whether it is inlined, as in `kernel`; an inlined kernel allocates nothing.
-    """
-    namespace = {**template.__globals__, **bindings}
-    copy = types.FunctionType(template.__code__, namespace, template.__name__, template.__defaults__)
-    copy.__module__ = template.__module__
-    copy.__qualname__ = template.__qualname__
-    # Names of machine code come from here: no two specialisations may share one.
-    copy.__qualname__ += f"__{name}_{(digest_of(copy) or f'{next(_NUMBERS)}')[:16]}"
-    return kernel(inline=True)(copy) if inline else kernel(allocates=allocates)(copy)
+    """Stand, in a template, for a kernel that `bound` puts in its place."""
+    raise NotImplementedError("`bound` puts the model's kernel in its place")
 
 
 class Template:
@@ -394,19 +365,27 @@ def template(function: Any = None, /, *, inline: bool = True, allocates: bool = 
 def bound(part: Any, name: str, parts: Mapping[str, Any]) -> Any:
     """Compile a template with the parts that it names, and so each template that it calls; return others as they are.
 
+    This is how one planner serves many models at full speed: the model's kernels are inlined as if the planner had been
+    written for it, and, unlike a closure over kernels, the result can be cached on disk.
+
     Args:
         part: template, compiled kernel or None.
-        name: name of the composition, unique for these `parts`.
+        name: name of the composition, by which a reader of profiles and of the cache knows it.
         parts: kernel or number of each part, by name.
     """
     if not isinstance(part, Template):
         return part
-    bindings = {}
-    for use in part.function.__code__.co_names:
-        helper = part.function.__globals__.get(use)
-        if use in parts or isinstance(helper, Template):
-            bindings[use] = parts[use] if use in parts else bound(helper, name, parts)
-    return specialise(part.function, name, bindings, allocates=part.allocates, inline=part.inline)
+    function, namespace = part.function, dict(part.function.__globals__)
+    for use in function.__code__.co_names:
+        if use in parts:
+            namespace[use] = parts[use]
+        elif isinstance(namespace.get(use), Template):
+            namespace[use] = bound(namespace[use], name, parts)
+    copy = types.FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)
+    copy.__module__, copy.__qualname__ = function.__module__, function.__qualname__
+    # Names of machine code come from here: no two compositions may share one.
+    copy.__qualname__ += f"__{name}_{(digest_of(copy) or f'{next(_NUMBERS)}')[:16]}"
+    return kernel(inline=True)(copy) if part.inline else kernel(allocates=part.allocates)(copy)
 
 
 _POINTS = np.linspace(-9.7, 9.3, 1021)
