@@ -7,22 +7,21 @@ import html
 from collections.abc import Iterator
 
 from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, Files
+from mkdocs.structure.files import Files
+from mkdocs.structure.pages import Page
 from skd_evaluator.cli.commands import commands_of, make_parser
 
-_COMMANDS = "command_line.md"
+_COMMANDS = "commands.md"
 
 
-def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages."""
-    files.append(File.generated(config, _COMMANDS, content="\n".join(_command_line())))
-    return files
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Add the options of every command below the table of commands."""
+    if page.file.src_uri != _COMMANDS:
+        return markdown
+    return "\n".join([markdown, *_command_line()])
 
 
 def _command_line() -> Iterator[str]:
-    yield "# Command line\n"
-    yield "`scripts/skd` in a checkout, `skd` where the package is installed. Made from the parsers, this page says"
-    yield "what `--help-all` says. For what to use when, see [the commands](commands.md).\n"
     for name, parser in commands_of(make_parser(["--help-all"])).items():
         yield f"\n## skd {name}\n\n{_prose(parser.description or '')}\n"
         for group in parser._action_groups:

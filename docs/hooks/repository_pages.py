@@ -19,6 +19,7 @@ from mkdocs.structure.pages import Page
 
 _DOCS = "docs"
 _SOURCES = "source"
+_OUTSIDE = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "requirements/README.md")
 _MOVED = {"README.md": "index.md"}
 _LANGUAGES = {
     ".json": "json", ".msg": "text", ".py": "python", ".sh": "bash", ".toml": "toml", ".xml": "xml", ".yaml": "yaml",
@@ -87,13 +88,7 @@ def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files
 
 def _documents(root: Path) -> list[str]:
     examples = sorted((root / "examples").glob("*/README.md"))
-    return [
-        "README.md",
-        "CHANGELOG.md",
-        "CONTRIBUTING.md",
-        "SECURITY.md",
-        *(str(path.relative_to(root)) for path in examples),
-    ]
+    return ["README.md", *_OUTSIDE, *(str(path.relative_to(root)) for path in examples)]
 
 
 def _site_path(path: str) -> str:
@@ -103,7 +98,7 @@ def _site_path(path: str) -> str:
 
 def _repository_path(uri: str) -> str:
     moved = {there: here for here, there in _MOVED.items()}
-    outside = uri in ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md") or uri.startswith("examples/")
+    outside = uri in _documents(Path())[1:4] or uri.startswith(("examples/", "requirements/"))
     return moved.get(uri, uri if outside else f"{_DOCS}/{uri}")
 
 

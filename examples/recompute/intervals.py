@@ -1,4 +1,4 @@
-"""Intervals by φ, as docs/intervals.md says: the mean of values that come in groups, a rate, and a distance."""
+"""Intervals by φ, as docs/metrics.md says: the mean of values that come in groups, a rate, and a distance."""
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm, skew, t

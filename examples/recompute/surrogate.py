@@ -1,4 +1,4 @@
-"""Surrogate safety measures, median and worst of a pedestrian on the straight road, as docs/measure.md defines them."""
+"""Surrogate safety measures, median and worst of a pedestrian on the straight road, as docs/metrics.md defines them."""
 import numpy as np
 from recompute import a, parts, ran, touch
 from touching import front, half, nearest, radius, rear, scenario, soonest, spans

@@ -1,4 +1,4 @@
-"""SubHunt (Sunberg and Kochenderfer, ICAPS 2018) as a POMDP of one's own, by docs/your_pomdp.md alone.
+"""SubHunt (Sunberg and Kochenderfer, ICAPS 2018) as a POMDP of one's own, by docs/extending.md alone.
 
 A submarine crosses a bay of 20 × 20 cells from one edge to the other. Ours goes three cells, pings, or engages, which
 kills within two cells; a ping shows where the target is, and warns it. `python sub_hunt.py 20` plays 20 episodes.

@@ -1,4 +1,4 @@
-"""The code of docs/your_pomdp.md, run as it stands, against the optimum of its problem."""
+"""The code of docs/extending.md, run as it stands, against the optimum of its problem."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "your_pomdp.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending.md"
 FAULTY, ACCURACY, GAMMA = 0.3, 0.8, 0.99
 
 

@@ -45,7 +45,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r".* --scenario prompt.yaml": "of a file that the reader makes, and of results of a benchmark",
     r".*\.venv-commonroad": "an environment of its own: tests/examples/test_commonroad_planner.py runs there",
 }
-_POLICY = ROOT / "docs" / "start" / "python_policy.md"
+_POLICY = ROOT / "docs" / "python_policy.md"
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
     "assess": f"{COUNTS} --workers 1 --margin-limit 16",

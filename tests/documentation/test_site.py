@@ -17,7 +17,7 @@ from browser import chromium
 from packaging_support import PYTHON_PACKAGES, ROOT, SOURCE
 from skd_evaluator.cli.commands import commands_of, make_parser
 
-OPENED = ("index", "tutorial", "distances", "measure", "command_line", "api/skd_evaluator.metrics")
+OPENED = ("index", "tutorial", "metrics", "commands", "api/skd_evaluator.metrics")
 PROGRAMS = {"cli", "nodes", "ros", "ros_environment"}  # what is run, and not imported
 
 
@@ -60,7 +60,7 @@ def test_no_page_names_what_it_would_fetch_elsewhere(site: Path, pages: dict[str
 
 
 def test_formulas_are_drawn_by_the_build(pages: dict[str, str]):
-    for name in ("distances", "intervals", "adversary"):
+    for name in ("metrics", "how_it_works"):
         source = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
         wanted = len(re.findall(r"\$\$.*?\$\$|\$[^$\n]+\$", source, re.DOTALL))
         assert pages[f"{name}.html"].count("<math") == wanted > 10, name
@@ -72,7 +72,7 @@ def test_pipes_in_the_code_of_tables_are_pipes(pages: dict[str, str]):
 
 
 def test_the_command_line_is_there_whole(pages: dict[str, str]):
-    page = html.unescape(pages["command_line.html"])
+    page = html.unescape(pages["commands.html"])
     for name, parser in commands_of(make_parser()).items():
         assert f'id="skd-{name}"' in page
         section = page.split(f'id="skd-{name}"')[1].split("<h2")[0]
@@ -125,7 +125,7 @@ def test_pages_in_a_browser(site: Path, browser: Any, width: int, scheme: str):
         assert page.evaluate("[...document.images].every(one => one.complete && one.naturalWidth > 0)"), name
         heights = page.evaluate("[...document.querySelectorAll('math')].map(one => one.getBoundingClientRect().height)")
         assert min(heights, default=1) > 0, name
-        assert heights or name != "distances"
+        assert heights or name != "metrics"
     assert said == []
     assert [url for url in asked if not url.startswith(site.as_uri())] == []
 

@@ -56,7 +56,7 @@ def test_parameters_are_found_again_within_their_intervals(fit):
     truth = load_behaviour("walkers").values
     inside = [low <= truth[NAMES.index(name)] <= high for name, (low, high) in fit.intervals.items()]
     assert set(fit.intervals) == set(FITTED)
-    assert sum(inside) >= len(FITTED) - 2  # each is at 95 %; docs/risk.md says how often they are
+    assert sum(inside) >= len(FITTED) - 2  # each is at 95 %; docs/metrics.md says how often they are
     for name, most in (("turn", 0.35), ("sway", 0.35), ("hesitation_time", 0.5)):
         place = NAMES.index(name)
         assert fit.values[place] == pytest.approx(truth[place], rel=most)

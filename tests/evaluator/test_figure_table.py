@@ -23,7 +23,7 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from stages import rate, with_margins, with_risks
 
-MEASURE = Path(__file__).parents[2] / "docs" / "measure.md"
+MEASURE = Path(__file__).parents[2] / "docs" / "metrics.md"
 
 
 @pytest.fixture(scope="module")

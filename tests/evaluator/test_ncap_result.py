@@ -159,7 +159,7 @@ def test_a_file_belongs_to_the_matrix_of_what_it_builds_upon(tmp_path):
 
 @pytest.mark.parametrize(("speed", "colours"), [(20, "gr"), (30, "gbr"), (40, "gobr"), (50, "gyobr"), (60, "gyobr")])
 def test_colours_change_every_ten_kmh_down_to_green(speed, colours):
-    """What docs/ncap.md says of 2026: the faster the test, the more a lower impact speed is worth."""
+    """What docs/campaigns.md says of 2026: the faster the test, the more a lower impact speed is worth."""
     values = [0.0, *(10.0 * step + 5.0 for step in range(6))]
     found = [colour_of(Criterion.RELATIVE, float(speed), value)[0] for value in values]
     assert "".join(dict.fromkeys(found)) == colours

@@ -15,7 +15,7 @@ from cli_support import skd, skd_from_nothing
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_sim" / "skd_sim" / "scenarios"
 DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
-(TUTORIAL,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+(TUTORIAL,) = re.findall(r"<!-- package -->\n```python\n(.*?)```", DOCUMENT, re.DOTALL)
 SOURCE = f"""{TUTORIAL}
 
 

@@ -16,7 +16,7 @@ from skd_sim.options.options import FRAMES
 from skd_sim.scenario.scenario import load_scenario
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-TUTORIAL = EXAMPLES.parent / "docs" / "third_party_stacks.md"
+TUTORIAL = EXAMPLES.parent / "docs" / "validation.md"
 LAUNCHES = sorted(EXAMPLES.glob("*/*.launch.xml"))
 HEARD = {"/ego/odometry", "/ego/scan"}  # what the examples take of SKD
 CAR = load_scenario("crossing").car

@@ -1,6 +1,6 @@
 """Node `carla_bridge` against a small stand-in for CARLA and its ROS bridge: the same topics, stepped the same way.
 
-What it cannot show is how CARLA itself behaves; docs/simulators.md says what has not been run.
+What it cannot show is how CARLA itself behaves; docs/scenarios.md says what has not been run.
 """
 
 from __future__ import annotations

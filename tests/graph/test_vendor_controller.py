@@ -1,4 +1,4 @@
-"""The commands of docs/your_controller.md and docs/replay.md, as they stand there, with the example controller."""
+"""The commands of docs/ros2_stack.md and docs/logs.md, as they stand there, with the example controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from common import new_domain
 from graph_support import Program, assert_all_gone, in_domain, skd_here
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = (ROOT / "docs" / "your_controller.md", ROOT / "docs" / "replay.md")
+PAGES = (ROOT / "docs" / "ros2_stack.md", ROOT / "docs" / "logs.md")
 pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 
 

@@ -296,7 +296,7 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options that say where episodes run in process."""
     where = parser.add_mutually_exclusive_group()
     add_workers_argument(where)
-    text = "address of a Dask cluster that runs the episodes, such as tcp://host:8786 (docs/scale.md)"
+    text = "address of a Dask cluster that runs the episodes, such as tcp://host:8786 (docs/campaigns.md)"
     where.add_argument("--scheduler", metavar="ADDRESS", help=rare(text))
 
 

@@ -156,7 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
             if known:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
         if _RECORDED not in kinds:
-            print("Recorded safe trajectories were not asked for: add --safe PATH (docs/start/research.md).")
+            print("Recorded safe trajectories were not asked for: add --safe PATH (docs/validation.md).")
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
     for kind, assessment in assessments:

@@ -24,7 +24,7 @@ from skd_evaluator.metrics.statistics import Interval, mean, wilson_interval
 
 SCALES: Final = (1.0, 2.0, 3.0)
 RANKS: Final = 2.0
-"""Scale whose risk ranks cars, fixed before any were ranked (docs/ranking.md)."""
+"""Scale whose risk ranks cars, fixed before any were ranked (docs/validation.md)."""
 FEW_HITS: Final = 50
 """Hits of crude runs below which subset simulation is asked."""
 UNSEEN: Final = 1e-4
@@ -33,7 +33,7 @@ CONDITIONAL: Final = "below 1e-4 conditional on the behaviour model, whose tails
 UNEVEN: Final = (
     "replicates differ by more than their mean: few of them decide it, and intervals of such hold less often"
 )
-"""See docs/risk.md."""
+"""See docs/metrics.md."""
 
 
 class Touch(IntEnum):

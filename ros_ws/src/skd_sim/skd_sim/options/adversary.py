@@ -62,7 +62,7 @@ def check_adversary_model(adversary_model: AdversaryModel, car: CarUnderTest, *,
 
 
 DEFAULT_SIMULATIONS: Final = 1000
-"""Simulations per decision: where more come no nearer to the clairvoyant kamikaze (docs/optimality_gap.md)."""
+"""Simulations per decision: where more come no nearer to the clairvoyant kamikaze (docs/metrics.md)."""
 
 
 class Objective(StrEnum):

@@ -18,7 +18,7 @@ def add_export(commands: Any) -> None:
         "export",
         help="write kamikazes and safe trajectories as OpenSCENARIO, OSI, CommonRoad or csv",
         description="Write the safe trajectories φ of a result, and every kamikaze, as files that other tools open. "
-        "docs/exchange.md says what each format keeps.",
+        "docs/logs.md says what each format keeps.",
     )
     export.add_argument("path", type=Path, metavar="RESULT", help="folder of an assessment")
     export.add_argument(
@@ -54,7 +54,7 @@ def add_import(commands: Any) -> None:
         help="import trajectories from OpenSCENARIO, OSI, CommonRoad, CSV or bags",
         description="Import a road user's trajectory, check its rate, gaps and frame, and write it as csv that --safe "
         "reads. Files: OpenSCENARIO XML, ASAM OSI (MCAP), CommonRoad XML, csv (also of inD and rounD), "
-        "recordings of ROS, and folders of such (docs/exchange.md).",
+        "recordings of ROS, and folders of such (docs/logs.md).",
     )
     taken.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH", help="a file, a bag's folder, or a folder of files"

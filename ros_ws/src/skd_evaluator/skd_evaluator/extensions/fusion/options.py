@@ -27,11 +27,11 @@ def add_fuse(commands: Any) -> None:
         help="few trials on a proving ground and many simulated ones: rate the physical car, calibrate the simulator",
         description="Estimate clearance, required deceleration, nominal collision rate and margin of the physical car "
         "over all safe trajectories φ. Where simulated trials predict physical ones of the same φ, simulations of "
-        "further φ make the intervals narrower. Else the physical trials stand alone (docs/fusion.md).",
+        "further φ make the intervals narrower. Else the physical trials stand alone (docs/proving_ground.md).",
     )
     text = "folder of an assessment, or a table of simulated trials. With --width also an earlier fusion"
     fuse.add_argument("simulated", type=Path, metavar="SIMULATED", help=text)
-    text = "table of physical trials, or the folder of its trials.csv (docs/fusion.md has the columns)"
+    text = "table of physical trials, or the folder of its trials.csv (docs/proving_ground.md has the columns)"
     fuse.add_argument("physical", type=Path, nargs="?", metavar="PHYSICAL", help=text)
     text = "how often you look at the results, at most: the intervals then hold at all looks together"
     add_count(fuse, "--looks", 1, 100, text, default=1)  # `metrics.statistics.sequential.MOST_LOOKS`

@@ -25,7 +25,7 @@ def add_ncap(commands: Any) -> None:
         help="run a regulator's tests: colours of Euro NCAP 2026, and the margin of each",
         description="Run the static tests of Euro NCAP 2026, test speeds × impact places, in which the target does "
         "what the protocol prescribes. Each cell has the impact speed, its colour, and the safety margin. So a test "
-        "that is passed with little room stands out. This is not an official rating (docs/ncap.md).",
+        "that is passed with little room stands out. This is not an official rating (docs/campaigns.md).",
     )
     tests = ncap.add_argument_group(CAR_GROUP)
     without = "the car under test: basic, cal, carla, a registered name, file.py:Class or package.module:Class"
