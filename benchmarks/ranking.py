@@ -6,7 +6,7 @@ the way; hesitates once; and, of all these runs, those alone that the front of t
 scenario's `collision.hit_speed` or more. Which pairs count, and what the intervals are, is said in pair_orders.py.
 
 All figures are of the same safe trajectories and of the same trials, numbers 0 … N − 1 of each φ; a trial without
-a hit counts as η_max. "planned, nothing" is by kamikazes that take every car for a basic one, but for the basic car,
+a hit counts as η_max. "planned, generic" is by kamikazes that take every car for a basic one, but for the basic car,
 whose C they know. SKD is the paper's, with `objective: paper`, of trials that touch the car. What each is computed
 from stands in ranking_figures.py.
 

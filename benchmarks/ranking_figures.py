@@ -124,7 +124,7 @@ def margin(work: Work) -> Found:
     }
 
 
-def planned_nothing(work: Work) -> Found:
+def planned_generic(work: Work) -> Found:
     """Return what kamikazes need that know nothing of the car but take it for a basic one; of a basic one, its C."""
     return work.each(work.episodes(work.plan(), Mode.KAMIKAZE, work.trials), _needed)
 
@@ -169,7 +169,7 @@ class Figure:
 
 FIGURES = {
     "margin": Figure("margin (m)", +1, margin),
-    "planned_nothing": Figure("planned, nothing (m)", +1, planned_nothing),
+    "planned_generic": Figure("planned, generic (m)", +1, planned_generic),
     "along": Figure("nominal collision rate", -1, along, digits=3),
     "skd_paper": Figure("SKD, paper (m)", +1, skd_paper),
     **{f"risk_{scale:g}": Figure(f"R({scale:g})", -1, risk(scale), digits=3) for scale in SCALES},

@@ -151,15 +151,15 @@ def test_a_ranking_lists_what_a_figure_has_wrong_with_both_cars():
     runs = ["." * 60, "F" * 20 + "." * 40, "F" * 40 + "." * 20]
     values = [[[3.0, 3.0], [4.0, 4.0]], [[1.0, 1.0], [1.5, 1.5]], [[2.0, 2.0], [2.5, 2.5]]]
     rows = [
-        Row(car, dict.fromkeys(Manner, letters), {"planned_nothing": {"values": groups, "note": ""}})
+        Row(car, dict.fromkeys(Manner, letters), {"planned_generic": {"values": groups, "note": ""}})
         for car, letters, groups in zip(CARS, runs, values, strict=False)
     ]
-    ranking = ranked(rows, ["planned_nothing"])
+    ranking = ranked(rows, ["planned_generic"])
     assert ranking.pairs == (Pair(0, 1), Pair(0, 2), Pair(1, 2))
-    assert ranking.shares["planned_nothing"].right == 2
-    (wrong,) = exceptions(ranking, "planned_nothing")
+    assert ranking.shares["planned_generic"].right == 2
+    (wrong,) = exceptions(ranking, "planned_generic")
     assert (wrong["safer"], wrong["other"]) == (CARS[1].label, CARS[2].label)
-    assert (wrong["safer_planned_nothing"], wrong["other_planned_nothing"]) == (1.25, 2.25)
+    assert (wrong["safer_planned_generic"], wrong["other_planned_generic"]) == (1.25, 2.25)
     assert wrong["difference"] == -1.0
     assert wrong["rates"]["front only"] == [1 / 3, 2 / 3]
 
@@ -169,7 +169,7 @@ def test_figures_are_means_over_all_trials_a_miss_counting_as_the_most(car):
     with InProcessRunner(1, isolated=True) as runner:
         work = Work(car, [ACROSS], 4, 0, runner)
         needed, hits, margins = (
-            FIGURES[name].compute(work)["values"] for name in ("planned_nothing", "along", "margin")
+            FIGURES[name].compute(work)["values"] for name in ("planned_generic", "along", "margin")
         )
     plan = work.plan()
     for trial, value in enumerate(needed[0]):
