@@ -88,10 +88,10 @@ def test_paths_are_those_beside_the_file(tmp_path, monkeypatch):
 def test_how_many_episodes_there_are(tmp_path):
     text = "defaults: {safe_count: 3, kamikaze_count: 7, collision_runs: 11}\nsweep: {objective: [both, paper]}"
     both, paper = make_cells(read(tmp_path, text))
-    assert (both.objectives, paper.objectives) == (DEFAULT_OBJECTIVES, (Objective.PAPER,))
-    assert both.wanted == 3 + 2 * 3 * 7 + 11
-    assert paper.wanted == 3 + 3 * 7 + 11
-    assert paper.most == TRIALS_PER_REQUESTED * 3 * 7 + 11
+    assert [cell.requested["objectives"] for cell in (both, paper)] == [DEFAULT_OBJECTIVES, (Objective.PAPER,)]
+    assert both.episodes() == 3 + 2 * 3 * 7 + 11
+    assert paper.episodes() == 3 + 3 * 7 + 11
+    assert paper.episodes(TRIALS_PER_REQUESTED) == 3 + TRIALS_PER_REQUESTED * 3 * 7 + 11
 
 
 @pytest.mark.parametrize(

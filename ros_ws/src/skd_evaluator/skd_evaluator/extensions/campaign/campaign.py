@@ -197,7 +197,14 @@ class Campaign:
     def _assess(self, cell: Cell, runner: Workers, tell: Callable[[Cell], Progress]) -> None:
         begin = time.perf_counter()
         fresh = partial(fresh_process, cell.answer_limit)
-        context = Context(self._storing(cell, runner), runner, progress=tell(cell), fresh=fresh, **_request(cell))
+        context = Context(
+            self._storing(cell, runner),
+            runner,
+            progress=tell(cell),
+            fresh=fresh,
+            say=partial(_say, cell),
+            **cell.requested,
+        )
         assessment = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
         self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), None)
 
@@ -215,7 +222,7 @@ class Campaign:
                 assessment = assess_through_graph(
                     Assessment(cell.plan, provenance=self._provenance(cell)),
                     setting,
-                    {**_request(cell), "progress": tell(cell)},
+                    {**cell.requested, "say": partial(_say, cell), "progress": tell(cell)},
                     partial(self._storing, cell),
                 )
             except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
@@ -268,20 +275,9 @@ class Campaign:
             self._unsaved.pop()
 
 
-def _request(cell: Cell) -> dict[str, Any]:
-    """Return what a cell requests of the stages, as arguments of `Context`."""
-    return {
-        "objectives": cell.objectives,
-        "margin_limit": cell.margin_limit,
-        "curve": cell.curve,
-        "risk": cell.risk,
-        "say": partial(_say, cell),
-    }
-
-
 def _overall(cells: Sequence[Cell], progress: Progress) -> Callable[[Cell], Progress]:
-    """Return what gives each cell a function to report by: episodes that count, of as many as all cells want."""
-    total = sum(cell.wanted for cell in cells)
+    """Return what gives each cell a function to report by: episodes that count, of as many as all cells have."""
+    total = sum(cell.episodes() for cell in cells)
     done: dict[tuple[str, str], int] = {}
     lock = threading.Lock()
 

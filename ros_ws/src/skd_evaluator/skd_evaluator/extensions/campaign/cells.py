@@ -42,11 +42,8 @@ class Cell:
     Attributes:
         name: name of its folder.
         plan: what to assess, whatever its objective.
-        objectives: objectives of its kamikazes.
+        requested: what is requested of its stages: `objectives`, `margin_limit`, `curve` and `risk` of `Context`.
         graph: how to run the node graph; None: its episodes run in process.
-        margin_limit: how many candidates the search for the margin may drive in each trial; 0: there is no margin.
-        curve: whether kamikazes are held to largest deviations.
-        risk: what is asked of the risk.
         answer_limit: how long a call of a user's controller may take, s.
         swept: the values that the campaign sweeps, by key.
         identity: all that its figures depend on, as plain data.
@@ -55,11 +52,8 @@ class Cell:
 
     name: str
     plan: Plan
-    objectives: tuple[Objective, ...]
+    requested: Mapping[str, Any]
     graph: GraphOptions | None
-    margin_limit: int
-    curve: bool
-    risk: RiskRequest
     answer_limit: float
     swept: Mapping[str, Any]
     identity: Mapping[str, Any]
@@ -70,25 +64,11 @@ class Cell:
         """Digest of its identity."""
         return digest_of(self.identity)
 
-    @property
-    def wanted(self) -> int:
-        """How many episodes it has where every kamikaze collides, and every safe trajectory arrives."""
-        plan = self.plan
-        generated = plan.safe_count if plan.safe in GENERATED else 0
-        return generated + self._kamikazes + plan.collision_runs + self._of_curve
-
-    @property
-    def most(self) -> int:
-        """How many kamikazes and runs it has at most; φ that are generated anew are beside them."""
-        return TRIALS_PER_REQUESTED * self._kamikazes + self.plan.collision_runs + self._of_curve
-
-    @property
-    def _kamikazes(self) -> int:
-        return self.plan.safe_count * self.plan.kamikaze_count * len(self.objectives)
-
-    @property
-    def _of_curve(self) -> int:
-        return self.plan.safe_count * bounded_trials(self.plan) * len(BOUNDS) if self.curve else 0
+    def episodes(self, trials: int = 1) -> int:
+        """Return how many episodes it has if a kamikaze takes so many trials and every generated φ arrives."""
+        plan, curve = self.plan, bounded_trials(self.plan) * len(BOUNDS) if self.requested["curve"] else 0
+        kamikazes = trials * plan.kamikaze_count * len(self.requested["objectives"]) + curve
+        return plan.safe_count * (kamikazes + (plan.safe in GENERATED)) + plan.collision_runs
 
 
 def make_cells(combinations: Iterable[Combination]) -> list[Cell]:
@@ -138,14 +118,12 @@ def _cell(
         raise UsageError("curve goes with assessments in process: leave out graph")
     risk = risk_request(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
     files = _files_of(plan, objectives, values["controller_command"] or "")
+    requested = {"objectives": objectives, "risk": risk, **{key: values[key] for key in ("margin_limit", "curve")}}
     return Cell(
         one.name,
         plan,
-        objectives,
+        requested,
         GraphOptions(**values_of(GraphOptions, values)) if graph else None,
-        values["margin_limit"],
-        values["curve"],
-        risk,
         values["startup_timeout"],
         one.swept,
         _identity(one, plan, objectives, safe, risk, files),
@@ -254,8 +232,8 @@ def planned_rows(cells: Sequence[Cell]) -> list[Row]:
         {
             **{key: value for key, value in open_row(cell).items() if key in FIRST or key.startswith("sweep.")},
             "graph": cell.graph is not None,
-            "episodes": cell.wanted,
-            "most": cell.most,
+            "episodes": cell.episodes(),
+            "most": cell.episodes(TRIALS_PER_REQUESTED),
         }
         for cell in cells
     ]

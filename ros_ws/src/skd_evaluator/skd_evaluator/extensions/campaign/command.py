@@ -103,9 +103,11 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
             answer_limit=max(cell.answer_limit for cell in in_process),
         )
         with runner:
-            with margins_compiled_in_background(needed=any(cell.margin_limit for cell in in_process)) as load_margins:
+            with margins_compiled_in_background(
+                needed=any(cell.requested["margin_limit"] for cell in in_process)
+            ) as load_margins:
                 for cell in in_process:
-                    if cell.risk.behaviour is not None:
+                    if cell.requested["risk"].behaviour is not None:
                         warm_up_risk(cell.plan)
                 runner.start(_planners(in_process), inherited=load_margins)
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
@@ -113,7 +115,7 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
                 campaign.run(runner, progress, _threads(arguments))
     if through_graph := campaign.through_graph:
         for cell in through_graph:
-            compile_for_graph(cell.plan, cell.objectives)
+            compile_for_graph(cell.plan, cell.requested["objectives"])
         with progress_bar(quiet=arguments.quiet) as progress:
             campaign.run_graphs(progress)
 
@@ -127,7 +129,7 @@ def _planners(cells: Sequence[Cell]) -> list[EpisodeSpec]:
     """Return short episodes that make the planners of all cells compile, one for those that share theirs."""
     found: dict[tuple[object, ...], EpisodeSpec] = {}
     for cell in cells:
-        for episode in planners_of(cell.plan, cell.objectives):
+        for episode in planners_of(cell.plan, cell.requested["objectives"]):
             kind = (episode.mode, episode.objective, episode.car_model, episode.car, episode.scenario.car.dynamics)
             found.setdefault(kind, episode)
     return list(found.values())
