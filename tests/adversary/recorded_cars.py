@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior
 from skd_adversary.car_models.observations import Observations, observe
 from skd_evaluator.assessment.plan import probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -67,3 +68,19 @@ class LimitedCar(BasicController):
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         braking = super().command(car, adversary)
         return (2.0 / 3.5) * braking if braking else min(1.5, 0.8 * (7.0 - car.speed))
+
+
+NUMBERS = {"trigger": 9.0, "deceleration": 3.5, "cruise_speed": 25 / 3, "speed_noise": 0.05}
+
+
+def a_car(**priors: ParameterPrior) -> FittedCar:
+    """Return a fitted car with the basic car's numbers, and other priors of some."""
+    parameters = {
+        name: CarParameter(ParameterPrior("point", (value := NUMBERS.get(name, 0.0))), value, 0.0, (value, value))
+        for name in PARAMETERS
+    }
+    for name, prior in priors.items():
+        ends = (prior.first, max(prior.first, prior.second))
+        parameters[name] = CarParameter(prior, prior.first, prior.second, ends)
+    law = {"measure": "distance", "gate": "none", "spread": "sharp", "lapse": 0.0, "chosen": "distance"}
+    return FittedCar(**law, parameters=parameters, logs=10, ticks=100, braking_ticks=20, time_step=0.3)

@@ -90,6 +90,3 @@ def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
         assert recompute(replace(log, adversary=jumped)).deviation > 0.1
     assert hits >= 6
     assert strange
-
-
-"""As recorded ones are: no cyclist could follow it."""

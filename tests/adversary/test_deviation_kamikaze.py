@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior
+from recorded_cars import a_car
 from skd_adversary.crossing.cars import FITTED_STATE_DIM, WAITING_REWARD, LearnedCar, known_basic_car, unknown_car
 from skd_adversary.crossing.deviation import DEVIATION
 from skd_adversary.crossing.model import compose
@@ -28,19 +28,10 @@ STRAIGHT = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.75), np.zeros(9)])
 SLOW = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.41), 0.1 * np.sin(np.arange(16))]), CROSSING.time_step)
 
 
-def a_fitted_car() -> FittedCar:
-    numbers = {"trigger": 9.0, "deceleration": 3.5, "cruise_speed": 25 / 3, "speed_noise": 0.05}
-    parameters = {
-        name: CarParameter(ParameterPrior("point", (value := numbers.get(name, 0.0))), value, 0.0, (value, value))
-        for name in PARAMETERS
-    }
-    return FittedCar(measure="distance", gate="none", spread="sharp", lapse=0.0, parameters=parameters, time_step=0.3)
-
-
 def a_model(limit: float | None = None, *, known: bool = True, fitted: bool = False) -> Pomdp:
     car = known_basic_car(0.75) if known else unknown_car()
     start = (float(BENT[0, 0]), float(BENT[0, 1]))
-    predicted = LearnedCar(a_fitted_car(), car) if fitted else car
+    predicted = LearnedCar(a_car(), car) if fitted else car
     return compose(CROSSING, DEVIATION, predicted, start=start, gap=13.0, path=BENT, maximum_distance=limit)
 
 

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 import pytest
+from recorded_cars import a_car
 from skd_adversary.car_models.car_model_file import (
-    PARAMETERS,
     CarParameter,
     FittedCar,
     ParameterPrior,
@@ -31,19 +31,6 @@ from skd_sim.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("crossing")
 PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])
-NUMBERS = {"trigger": 9.0, "deceleration": 3.5, "cruise_speed": 25 / 3, "speed_noise": 0.05}
-
-
-def a_car(**priors: ParameterPrior) -> FittedCar:
-    parameters = {
-        name: CarParameter(ParameterPrior("point", (value := NUMBERS.get(name, 0.0))), value, 0.0, (value, value))
-        for name in PARAMETERS
-    }
-    for name, prior in priors.items():
-        ends = (prior.first, max(prior.first, prior.second))
-        parameters[name] = CarParameter(prior, prior.first, prior.second, ends)
-    law = {"measure": "distance", "gate": "none", "spread": "sharp", "lapse": 0.0, "chosen": "distance"}
-    return FittedCar(**law, parameters=parameters, logs=10, ticks=100, braking_ticks=20, time_step=0.3)
 
 
 def models(car: FittedCar):
@@ -58,13 +45,7 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
     rng = np.random.default_rng(3)
     for seed in range(300):
         state = np.zeros(fitted.state_dim)
-        state[: parts.STATE_DIM] = (
-            rng.uniform(-2, 2),
-            rng.uniform(-1, 1),
-            rng.uniform(-15, 0),
-            rng.uniform(0, 9),
-            9.0,
-        )
+        state[: parts.STATE_DIM] = (*rng.uniform([-2, -1, -15, 0], [2, 1, 0, 9]), 9.0)
         known = np.zeros(fitted.state_dim)
         fitted.initial(fitted.parameters, known, np.random.default_rng(0))
         state[parts.STATE_DIM :] = known[parts.STATE_DIM :]

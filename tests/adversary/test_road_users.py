@@ -27,7 +27,7 @@ from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
 ROUNDING = 1e-6
@@ -85,19 +85,6 @@ def test_nothing_that_it_could_do_comes_nearer_to_what_is_wanted(vx: float, vy: 
     assert math.hypot(x - vx, y - vy) <= 0.6 + 1e-12
     away = math.hypot(wx - x, wy - y)
     assert away == pytest.approx(max(0.0, math.hypot(wx - vx, wy - vy) - 0.6), abs=1e-12)
-
-
-def test_it_comes_from_its_side_and_not_through_what_is_parked() -> None:
-    arrived = 0
-    for number in range(8):
-        log = run_episode(EpisodeSpec(CHILD, Mode.SAFE, 1, number, multiplier=1.15))
-        assert log.adversary[0, 0] == 4.0
-        if log.outcome == Outcome.ARRIVED:
-            arrived += 1
-            assert log.adversary[-1, 0] <= -2.0 < log.adversary[-2, 0]
-        between = log.adversary[(log.adversary[:, 0] > 1.9) & (log.adversary[:, 0] < 3.72)]
-        assert (np.abs(between[:, 1]) <= 0.75 + 1e-9).all()  # 1 m to each parked car, less its radius
-    assert arrived >= 4
 
 
 def test_a_kind_has_a_speed_and_a_shape() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import changed_scenario, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario import changed_scenario, load_scenario
 from skd_sim.scenario.scenario_file import is_named
 
 
@@ -71,10 +71,3 @@ def test_what_is_relative_follows_the_test_speed() -> None:
         assert fast.protocol is not None
         assert fast.protocol.speed == fast.adversary.start_speed == pytest.approx(kmh / 3.6)
     assert changed_scenario("cut_in", {"adversary.start_y": -9.0}).adversary.start_y == -9.0
-
-
-def test_a_changed_scenario_is_what_its_description_says() -> None:
-    changed = changed_scenario("cpna-25", {"car.start_speed": 10.0, "eta_max": 2.0})
-    assert scenario_from_dict(changed.as_dict()) == changed
-    with pytest.raises(UsageError, match="name has no keys"):
-        changed_scenario("cpna", {"name.x": 1.0})

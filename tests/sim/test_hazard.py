@@ -74,9 +74,6 @@ def test_objects_are_parted_and_measured():
     assert parked[2] > 1.8
 
 
-# --- network and training
-
-
 # --- the shipped network
 
 

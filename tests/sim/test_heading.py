@@ -14,12 +14,3 @@ def test_a_heading_of_the_grid_survives_the_quaternion_to_the_last_bit(heading: 
     assert -math.pi < kept <= math.pi
     assert abs(math.remainder(kept - heading, math.tau)) < 2e-12
     assert on_grid(kept) == kept
-
-
-def test_quarter_turns_are_exact() -> None:
-    assert [float(on_grid(h)) for h in (0.0, math.pi / 2, math.pi, -math.pi / 2)] == [
-        0.0,
-        math.pi / 2,
-        math.pi,
-        -math.pi / 2,
-    ]

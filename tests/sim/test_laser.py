@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, Scenario, load_scenario, scenario_from_dict
-from skd_sim.world.sensors import PlanarLaser, disc_range, rectangle_range
+from skd_sim.world.sensors import PlanarLaser, rectangle_range
 from skd_sim.world.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
@@ -47,23 +47,6 @@ def test_a_laser_all_around_may_begin_ahead():
     assert scan.angle_min == 0.0
     assert np.flatnonzero(np.isfinite(scan.ranges)).tolist() == [0, 1, *range(76, 105), 359]
     assert (scan.ranges[0], scan.ranges[90]) == pytest.approx((7.75, 4.0))
-
-
-@settings(max_examples=200)
-@given(centres, centres, st.floats(0.1, 3.0), angles)
-def test_disc_against_the_quadratic(x, y, radius, bearing):
-    """|s·u − c|² = r² solved by numpy's polynomial roots."""
-    cos, sin = math.cos(bearing), math.sin(bearing)
-    b, c = -2.0 * (x * cos + y * sin), x * x + y * y - radius * radius
-    if abs(b * b - 4.0 * c) < 1e-6 or abs(c) < 1e-6:
-        return  # grazes: either answer is right
-    found = disc_range(x, y, radius, cos, sin)
-    if c < 0.0:
-        assert found == 0.0
-        return
-    roots = np.roots([1.0, b, c])
-    ahead = [root.real for root in roots if abs(root.imag) < 1e-12 and root.real >= 0.0]
-    assert found == pytest.approx(min(ahead, default=math.inf), abs=1e-6)
 
 
 @settings(max_examples=200)

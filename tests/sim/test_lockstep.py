@@ -147,18 +147,6 @@ def test_a_late_answer_to_the_episode_before_is_no_wrong_stamp(bench: Bench) -> 
     assert end.reason.startswith("no answer: the car controller")
 
 
-def test_a_slow_car_is_told_from_one_that_hangs(bench: Bench) -> None:
-    for tick in range(3):
-        bench.lockstep.walk(stamp(tick), (1.0, 0.0))
-        bench.now += 0.5 * LIMITS.command
-        assert isinstance(bench.lockstep.drive(stamp(tick), 1.0, now=bench.now), ControlStep)
-        bench.advance(tick + 1)
-    bench.lockstep.walk(stamp(3), (1.0, 0.0))
-    end = bench.lockstep.watch(bench.now + LIMITS.command + 0.01)
-    assert isinstance(end, End)
-    assert end.reason.endswith("its answers took up to 1 s, it is too slow for -p command_timeout:=2")
-
-
 def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
     bench.adversaries.alive = []
     bench.lockstep.drive(stamp(0) + 1, 1.0)
@@ -172,16 +160,6 @@ def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
         "wait for none and not started: the adversary (adversary/velocity_command) stayed silent for 10 s at tick 0: "
         "nobody publishes"
     )
-
-
-def test_a_node_that_hangs_is_not_one_of_wrong_stamps(bench: Bench) -> None:
-    """It sent something of no use early, then answered some ticks, and then nothing more."""
-    bench.lockstep.drive(stamp(4), 1.0)
-    bench.go_to(2)
-    bench.lockstep.walk(stamp(2), (1.0, 0.0))
-    end = bench.lockstep.watch(bench.now + 2.1)
-    assert isinstance(end, End)
-    assert kind_of(end.reason) == AbortKind.NO_ANSWER
 
 
 def test_tick_0_is_repeated_and_no_other(bench: Bench) -> None:

@@ -11,11 +11,6 @@ SPEED = 25.0 / 3.0  # m/s, 30 km/h
 STEP = 0.3  # s
 
 
-def test_safe_distance_of_the_paper() -> None:
-    assert braking_distance(SPEED, 3.5) == pytest.approx(9.921, abs=5e-4)
-    assert braking_distance(SPEED, 3.5) == pytest.approx((25.0 / 3.0) ** 2 / 7.0, rel=1e-15)
-
-
 @pytest.mark.parametrize("deceleration", [1.0, 3.5, 7.0])
 def test_stopping_distance_of_the_noiseless_car(deceleration: float) -> None:
     """The trapezoid is exact for uniform braking; only the step in which the car stops is not uniform."""

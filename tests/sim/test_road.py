@@ -81,20 +81,6 @@ def test_both_ways_against_a_sampled_line(
             assert found == pytest.approx(projected, abs=0.05)
 
 
-@given(parts=some_parts, origin=fraction, s=coordinate, left=st.integers(-3900, 3900).map(lambda mm: 1e-3 * mm))
-def test_a_point_beside_the_line_has_the_coordinates_that_it_was_made_from(
-    parts: list[tuple[float, float]], origin: float, s: float, left: float
-) -> None:
-    line = centre_line(parts, origin * sum(length for length, _ in parts))
-    x, y, heading = road_pose(line, s)
-    px, py = x - left * math.sin(heading), y + left * math.cos(heading)
-    found, offset = road_position(line, px, py)
-    # Another stretch may come nearer, never further.
-    assert abs(offset) <= abs(left) + 1e-9
-    if abs(offset) > abs(left) - 1e-9 and abs(found - s) < 1.0 and abs(left) < 3.5:
-        assert (found, offset) == pytest.approx((s, left), abs=1e-6)
-
-
 @given(parts=some_parts, origin=fraction)
 def test_the_crossing_point_is_the_origin_and_the_lane_leads_north_there(
     parts: list[tuple[float, float]], origin: float

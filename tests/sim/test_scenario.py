@@ -7,7 +7,6 @@ import dataclasses
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -33,7 +32,6 @@ LANES = [
 ]
 LEFT_OUT = object()
 CURVE = {"length": 8.0, "radius": 8.0, "turn": "right"}
-BOX = {"kind": "car", "length": 4.0, "width": 1.8}
 PLACED = {"adversary.start_x": LEFT_OUT, "adversary.start_y": LEFT_OUT}
 STANDS = {"kind": "pedestrian", "radius": 0.25, "way": [{"time": 0.0, "x": 0.5, "y": 10.0}]}
 
@@ -174,24 +172,17 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     # of types
     ({"name": 3}, "name must be text, got 3"),
     ({"car.meet_safe_trajectory": 1}, "car.meet_safe_trajectory must be true or false, got 1"),
-    ({"car": [1]}, "car must be a mapping, got list"),
     ({"obstacles": {"x": 1.0}}, "obstacles must be a list, got dict"),
     ({"sensor.beams": 20.5}, "sensor.beams must be a whole number from 2 to 4096 (beams), got 20.5"),
     ({"car.dynamics": True}, "car.dynamics must be one of basic, multi_body, got True"),
     # of keys
     ({"car.colour": 1}, "unknown key car.colour; allowed: front, rear, width, "),
-    ({"adversary.lanes": 1}, "unknown key adversary.lanes; allowed: kind, "),
     ({"adversary": LEFT_OUT}, "missing key adversary"),
     # of bodies
     ({"adversary.radius": LEFT_OUT}, "adversary: needs radius, for a disc, or both length and width, for a box"),
-    ({"adversary.width": 0.6}, "adversary: needs radius, for a disc, or both length and width, for a box"),
-    ({"adversary.kind": 3}, "adversary.kind must be text, got 3"),
-    ({"others": [STANDS | {"length": 2.0}]},
-     "others[0]: needs radius, for a disc, or both length and width, for a box"),
     ({"others": [STANDS | {"way": [{"time": 1.0, "x": 0.0, "y": 9.0}, {"time": 1.0, "x": 1.0, "y": 9.0}]}]},
      "others[0]: way[1].time must be greater than that of the point before it (1 s), got 1"),
     ({"others": [STANDS | {"way": [{"time": 0.0, "x": -3.4, "y": 0.1}]}]}, "others[0] is where the adversary starts"),
-    ({"others": [{"radius": 0.2, "way": STANDS["way"]}]}, "missing key others[0].kind"),
     # of times
     ({"horizon": 0.2}, "horizon must be at least time_step (0.3 s)"),
     ({"control_period": 0.6}, "control_period 0.6 s must divide time_step 0.3 s; 0.3 s does"),
@@ -202,7 +193,6 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
      "unknown key ending.missed.east_of; allowed: right_of, left_of, ahead_of, "),
     # of roads
     ({"road.parts": [{"length": 8.0, "radius": 8.0}]}, "road.parts[0]: has a radius and no turn; a curve needs both"),
-    ({"road.parts": [CURVE | {"turn": "up"}]}, "road.parts[0].turn must be one of left, right, got 'up'"),
     ({"road.parts": [CURVE | {"length": 26.0}]},
      "road.parts[0]: turns by more than half a circle; its length may be at most 25.13 m"),
     ({"road.origin": 8.5}, "road: origin says where along parts the crossing point is; there are no parts"),
@@ -219,20 +209,15 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     # of places on lanes
     (PLACED | {"adversary.lane": 4, "adversary.along": 1.0},
      "adversary.lane: the road has no lane 4; it has 0 (road.lanes)"),
-    (PLACED | {"adversary.along": 1.0}, "missing key adversary.lane"),
     ({"adversary.lane": 0, "adversary.along": 1.0}, "adversary has a lane and start_x; leave one out"),
     ({"ending": {"missed": {"lane": 9}}, "road.lanes": LANES},
      "ending.missed.lane 9 is elsewhere; a region is beside and"),
-    ({"others": [BOX | {"way": [{"lane": 0, "along": 0.0}]}]}, "missing key others[0].way[0].time"),
     # of starts
     ({"car.start_time": 3.0}, "car.start_time and car.start_gap both say where the car starts; leave one out"),
     ({"adversary.start_x": 0.0, "adversary.start_y": -20.0}, "the car overlaps the adversary at the start"),
     # of a regulator's target
     ({"protocol": {"source": "", "speed": 1.0, "impact_places": [5, 5]}},
      "protocol: impact_places must be a list of different"),
-    ({"protocol": {"source": "", "speed": 1.0, "impact_places": [500]}},
-     "protocol.impact_places[0] must be a number from -100"),
-    ({"protocol": {"source": "", "speed": 1.0, "impact_places": [5], "pace": 1.0}}, "unknown key protocol.pace"),
     ({"protocol": {"source": "", "impact_places": [5], "acceleration_distance": 1.0, "headway": 1.0}},
      "protocol: acceleration_distance is for a target that starts from standing"),
     ({"protocol": {"source": "", "speed": 1.0, "impact_places": [5], "aside": 1.0}},
@@ -261,12 +246,3 @@ def test_a_control_period_divides_the_time_step(period: float, periods: int) -> 
     scenario = scenario_from_dict(changed({"control_period": period}))
     assert scenario.control_periods == periods
     assert scenario.control_duration == pytest.approx(period, rel=1e-12)
-
-
-def test_from_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text(yaml.safe_dump(BASE), encoding="utf-8")
-    assert load_scenario(str(file)) == load_scenario("crossing")
-    file.write_text(yaml.safe_dump(changed({"car.width": 99})), encoding="utf-8")
-    with pytest.raises(UsageError, match=r"mine\.yaml: car\.width must be a number from 0\.2 to 5 \(m\), got 99"):
-        load_scenario(str(file))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.car_models.car_model_file import fitted_car, read_car_model
+from skd_adversary.car_models.car_model_file import read_car_model
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import LARGEST, parse_yaml, to_yaml
 from skd_sim.scenario.scenario import load_scenario
@@ -40,18 +39,6 @@ def test_what_is_no_model_is_one_short_line(tmp_path: Path, text: str, read: Cal
     assert str(path) in said
     assert len(said) < 700
     assert "\n" not in said
-
-
-@pytest.mark.parametrize("text", ["a: 1\nb: 2\na: 3\n", "{b: 2, a: {a: 1, 'a': 3}}", "1: a\n1.0: b\n"])
-def test_a_key_that_stands_there_twice_is_no_choice_between_values(text: str) -> None:
-    with pytest.raises(UsageError, match=r"the key (a|1.0) stands there twice.*line [123]"):
-        parse_yaml(text, "here")
-
-
-@pytest.mark.parametrize("text", ["{" * 5, json.dumps({"family": 5}), "null", '{"parameters": {"trigger": []}}'])
-def test_car_model_that_an_episode_carries(text: str) -> None:
-    with pytest.raises(UsageError, match="car model of the episode"):
-        fitted_car(text)
 
 
 @pytest.mark.parametrize(
