@@ -16,7 +16,7 @@ from skd_adversary.car_models.identifiability import (
 from skd_adversary.car_models.laws import Family, Law, integral_transform, kolmogorov_smirnov
 from skd_adversary.car_models.observations import RecordedEpisode, observe
 from skd_adversary.car_models.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
-from skd_sim.controllers import BasicController
+from skd_sim.controllers.basic import BasicController
 from skd_sim.errors import UsageError
 
 

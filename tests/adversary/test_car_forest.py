@@ -32,7 +32,7 @@ from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.road_users import road_user_named
-from skd_sim.controllers import BasicController
+from skd_sim.controllers.basic import BasicController
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario

@@ -17,7 +17,7 @@ from skd_adversary.crossing.path import polyline_distance, polyline_segments
 from skd_adversary.crossing.road_users import EAST, PEDESTRIAN, action_velocity, road_user_named
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.pomdp.model import Pomdp
-from skd_sim.controllers import BasicController
+from skd_sim.controllers.basic import BasicController
 from skd_sim.scenario.road import road_position
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.world import World

@@ -18,7 +18,8 @@ from cars.view import Eyes, View
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.controllers import Controller, make_controller
+from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario

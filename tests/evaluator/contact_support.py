@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.risks import Touch
-from skd_sim.controllers import Controller
+from skd_sim.controllers.protocol import Controller
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec

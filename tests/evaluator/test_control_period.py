@@ -19,8 +19,8 @@ from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.deviation import deviation
-from skd_sim.controllers import SensingController, make_controller
-from skd_sim.controllers.loading import user_controller
+from skd_sim.controllers.loading import make_controller, user_controller
+from skd_sim.controllers.protocol import SensingController
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest

@@ -16,7 +16,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.exact import exact
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.deviation import Hit, deviation
-from skd_sim.controllers import BasicController
+from skd_sim.controllers.basic import BasicController
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.state import AdversaryState, CarState

@@ -12,7 +12,7 @@ import pytest
 from skd_evaluator import assess
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
-from skd_sim.controllers import BasicController
+from skd_sim.controllers.basic import BasicController
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator

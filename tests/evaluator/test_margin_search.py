@@ -23,7 +23,9 @@ from skd_evaluator.margin.search.rounds import in_processes, repeated
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import deviation
-from skd_sim.controllers import BasicController, Controller, make_controller
+from skd_sim.controllers.basic import BasicController
+from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.protocol import Controller
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, controller_generator, controller_seed

@@ -26,7 +26,8 @@ from skd_evaluator.assessment.stages.checks import (
 )
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
-from skd_sim.controllers import Controller, make_controller
+from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import AssessmentError
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario

@@ -21,7 +21,7 @@ from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
 from skd_evaluator.risk.cars import AnyCar, end_of
 from skd_evaluator.risk.crossings import CrossingPlan
-from skd_sim.controllers import Controller
+from skd_sim.controllers.protocol import Controller
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario

@@ -14,7 +14,7 @@ from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.assessment.plausibility import ROUNDING, examine, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.actions import has_exact_margin
-from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, load_scenario

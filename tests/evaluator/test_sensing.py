@@ -11,8 +11,8 @@ import yaml
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.cli.main import main
 from skd_evaluator.errors import AssessmentError
-from skd_sim.controllers import SensingController
 from skd_sim.controllers.loading import user_controller
+from skd_sim.controllers.protocol import SensingController
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.controllers import Controller, with_control_period
+from skd_sim.controllers.protocol import Controller, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario

@@ -23,7 +23,7 @@ from skd_evaluator.assessment.stages.car_model import graph_settings, learned
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
-from skd_sim.controllers import BasicController
+from skd_sim.controllers.basic import BasicController
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 

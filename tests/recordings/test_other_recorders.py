@@ -14,7 +14,7 @@ from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.controllers import make_controller
+from skd_sim.controllers.loading import make_controller
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator

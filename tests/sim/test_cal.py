@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_sim.controllers import CalController, Controller, SensingController
-from skd_sim.controllers.cal import FEATURES, CalState, HazardNetwork
+from skd_sim.controllers.cal import FEATURES, CalController, CalState, HazardNetwork
+from skd_sim.controllers.protocol import Controller, SensingController
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from skd_sim.controllers import CarlaAgent
-from skd_sim.controllers.carla_agent import speed_factor
+from skd_sim.controllers.carla_agent import CarlaAgent, speed_factor
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled

@@ -5,12 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_sim.controllers import (
-    PAPER_MULTIPLIERS,
-    BasicController,
-    Controller,
-    make_controller,
-)
+from skd_sim.controllers.basic import PAPER_MULTIPLIERS, BasicController
+from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario

@@ -11,7 +11,7 @@ import pytest
 from skd_adversary.adversary import ReplayAdversary
 from skd_evaluator.assessment.plausibility import ROUNDING, implausible, recompute, touches
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.controllers import takes_scene
+from skd_sim.controllers.protocol import takes_scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

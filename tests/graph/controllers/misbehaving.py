@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from skd_sim.controllers import BasicController
+from skd_sim.controllers.basic import BasicController
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import AdversaryState, CarState
 

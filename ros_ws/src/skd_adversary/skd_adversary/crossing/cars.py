@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers import basic_acceleration
+from skd_sim.controllers.basic import basic_acceleration
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, check_trajectory

@@ -18,7 +18,7 @@ from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers import basic_acceleration
+from skd_sim.controllers.basic import basic_acceleration
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.scenario.road import (

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import objectives_named
 

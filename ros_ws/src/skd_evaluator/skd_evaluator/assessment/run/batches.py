@@ -15,9 +15,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from skd_adversary.crossing.path import path_velocities
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.controllers import Controller, control_period_of, make_controller, takes_batches, takes_scene
 from skd_sim.controllers.isolated import isolated
-from skd_sim.controllers.loading import UserController
+from skd_sim.controllers.loading import UserController, make_controller
+from skd_sim.controllers.protocol import Controller, control_period_of, takes_batches, takes_scene
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
 from skd_sim.scenario.road import is_straight_north

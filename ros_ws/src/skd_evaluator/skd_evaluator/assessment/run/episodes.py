@@ -8,14 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers import (
-    Controller,
-    is_sensing,
-    make_controller,
-    require_control_period,
-    require_sensor,
-    sight_of,
-)
+from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.protocol import Controller, is_sensing, require_control_period, require_sensor, sight_of
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.episode import (

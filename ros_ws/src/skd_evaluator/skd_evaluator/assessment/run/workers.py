@@ -24,13 +24,7 @@ from dataclasses import dataclass, fields
 from types import TracebackType
 from typing import Any, Final, NamedTuple, NoReturn, Self, TypeVar
 
-from skd_sim.controllers import (
-    BasicController,
-    control_period_of,
-    make_controller,
-    require_sensor,
-    with_control_period,
-)
+from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.isolated import (
     CALL_LIMIT,
     IsolatedProcess,
@@ -41,6 +35,8 @@ from skd_sim.controllers.isolated import (
     portable,
     set_call_limit,
 )
+from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.protocol import control_period_of, require_sensor, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
