@@ -157,7 +157,7 @@ def test_the_world_by_another_name_is_the_world():
     ("simulator", "kind", "what"),
     [
         ("nanspeed", AbortKind.NOT_FINITE, "speed of the car is nan in tick 1"),
-        ("stays", AbortKind.REFUTED, "in tick 1 the adversary goes 0.42 m beside where it was told to go"),
+        ("stays", AbortKind.REFUTED, "in tick 1 the adversary goes 0.42 m beside its commanded way"),
         ("drifts", AbortKind.REFUTED, "the adversary is 1.0"),
         ("elsewhere", AbortKind.REFUTED, "the adversary starts 2 m from where the specification has it"),
         ("jumps", AbortKind.REFUTED, "gave what cannot have happened: the car goes 32"),

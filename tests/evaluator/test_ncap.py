@@ -161,7 +161,7 @@ def test_cells_that_cannot_be_judged_say_why(cars):
     done = skd("ncap", "--controller", "ncap_cars:Stands", "--scenarios", "cpnco-50", "--speeds", "20:20:10", *NONE,
                "--out", "stands", cwd=cars)  # fmt: skip
     assert [cell.colour for cell in cells_of(cars / "stands")] == [""]
-    assert "the car slows down to 0 km/h with nobody near, which is no test at 20 km/h" in done.stdout
+    assert "the car slows down to 0 km/h undisturbed, which is no test at 20 km/h" in done.stdout
     (cars / "fast.yaml").write_text("name: fast\ndescription: fast\nextends: cpna-50\nprotocol:\n  speed: 2.0\n")
     done = skd("ncap", "--scenarios", "fast.yaml", *NONE, "--out", "fast", cwd=cars)
     assert "the test's target has 5 km/h, this one 7.2 km/h" in done.stdout

@@ -166,7 +166,7 @@ class FittedCar(Frozen):
         front: front bumper of the car in the logs ahead of its reference point, m; none where it was not written down.
         rear: rear bumper behind the reference point, m; None where it was not written down.
         waiting_reward: m of deviation, at most 0, that each step after φ's end costs who waits for this car, by what
-            kamikazes came to with it; none: nobody has tried, and the kind of model says it.
+            kamikazes came to with it; none: it was not tried, and the kind of model says it.
         forest: forest that predicts the car, where no law does it as well; None: the law does.
     """
 

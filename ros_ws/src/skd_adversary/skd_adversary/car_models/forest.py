@@ -31,7 +31,7 @@ TICK: Final = ("gap", "lateral", "sideways", "receding", "speed", "change", "res
 """What is kept of a tick: SI units; `residual` is the way that the car made beyond the mean of its two speeds, m."""
 
 GRID: Final = 128.0
-"""Places (m) and speeds (m/s) are told apart to one part in this many: 8 mm."""
+"""Places (m) and speeds (m/s) are resolved to one part in this many: 8 mm."""
 FINE: Final = 1024.0
 """The same of changes of speed and residuals."""
 _LONGEST: Final = 8.0  # s
@@ -262,7 +262,7 @@ def grow(data: Observations, *, seed: int = 0) -> CarForest:
     from sklearn.ensemble import RandomForestRegressor  # slow to import, and needed only now
 
     features, change = described(data)
-    whole = np.ceil(features * GRID - 0.5)  # what can be told apart; halves go down, as in `leaf_of`
+    whole = np.ceil(features * GRID - 0.5)  # what is resolved; halves go down, as in `leaf_of`
     forest = RandomForestRegressor(TREES, min_samples_leaf=LEAST_DONORS, random_state=seed, n_jobs=1)
     forest.fit(whole.astype(np.float32), change)
     grown: list[Any] = [tree.tree_ for tree in forest.estimators_]

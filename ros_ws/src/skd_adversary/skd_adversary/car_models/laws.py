@@ -334,7 +334,7 @@ def fit_family(family: Family, e: BrakingEvidence, sharp: Law | None = None, nea
 DELAYS = range(LONGEST_DELAY + 1)
 """Ticks."""
 SELECTION_FOLDS = 3
-_HOPELESS = 100.0  # of AIC behind the best: a family that held-out likelihood need not be asked about
+_HOPELESS = 100.0  # of AIC behind the best: a family of which no held-out likelihood is needed
 _NEAR = 2.0  # nats of held-out likelihood that do not tell two families apart
 
 

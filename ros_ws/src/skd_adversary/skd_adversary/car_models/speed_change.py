@@ -228,7 +228,7 @@ def _pulled(p: SpeedChange, data: Observations, free: BoolArray) -> SpeedChange:
 
 
 def _free_for_sure(data: Observations) -> BoolArray:
-    """Return the ticks in which nobody is near in front of the car, whatever its law."""
+    """Return the ticks in which no road user is near in front of the car, whatever its law."""
     return np.asarray((data.gap < -data.car_length) | (data.gap > _FAR))
 
 
@@ -268,7 +268,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
         other = _polish(pulled, data)
         if other[2] - value > np.log(len(data)):
             p, responsibility, value = other
-    # Where speeding up and braking look alike, what the car does with nobody near tells them apart.
+    # Where speeding up and braking look alike, what the car does undisturbed distinguishes them.
     sure = _free_for_sure(data)
     if _clearly_pulled(p, data, sure):
         pulled = _pulled(SpeedChange(0.05, 3.5, 0.1), data, sure)

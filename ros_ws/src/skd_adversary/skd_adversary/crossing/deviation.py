@@ -66,7 +66,7 @@ _OWN = 3
 """Length of the state's own part: the greatest squared distance from φ so far (m²), the tick, and the plan that the
 default policy follows (0: none), which nothing but that policy reads."""
 
-_EXCESS_COST = -0.1  # m: what it costs to leave the budget in vain, so that nobody does who has nothing to gain
+_EXCESS_COST = -0.1  # m: what it costs to leave the budget in vain, so that it is not done without a gain
 _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) does so 6 ticks before it would arrive
 _SAME = 1e-9  # m/s
 _ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
@@ -87,13 +87,13 @@ def begin(parameters: Any, state: FloatArray) -> None:
 
 @template
 def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> Pair:
-    """Return the velocity (East, North), m/s, of somebody who takes an action, or goes as φ, at a tick.
+    """Return the velocity (East, North), m/s, of a road user that takes an action, or goes as φ, at a tick.
 
     Args:
         parameters: parameters of the model.
         vx: velocity to the East in the tick before, m/s.
         vy: velocity to the North in the tick before, m/s.
-        action: action whose velocity is asked.
+        action: the action.
         tick: number of the tick now.
     """
     if action == AS_PHI:
@@ -314,9 +314,9 @@ def _plan(parameters: Any, state: FloatArray, worst: float, now: int, rng: np.ra
     As φ if that meets the car. If not, the later φ is left, the less is the deviation: so the ticks before the one in
     which it failed are tried backwards, until it gets worse. Arguments as in `_look_ahead` and `_begin_lookahead`.
 
-    Who keeps heading or speed is also asked where φ neither meets the car nor gets past it within the look-ahead, as
-    ahead of it on its lane, and for no hit beyond η_max, which is worth no more than a miss. The pedestrian, whose
-    figures stand, leaves φ at once there, and for any hit.
+    One that keeps heading or speed also leaves φ early where that neither meets the car nor gets past it within the
+    look-ahead, as ahead of it on its lane, and for no hit beyond η_max, which is worth no more than a miss. The
+    pedestrian, whose figures stand, leaves φ at once there, and for any hit.
     """
     p = parameters
     car_s = state[CAR_S] + _ERROR * rng.standard_normal()

@@ -93,7 +93,7 @@ class PlannerOptions:
         backup: how the value of a node enters that of the node above it.
         keep_tree: whether the subtree of what was done and seen is kept for the next decision.
         cells: says which observations share a node.
-        references: next states by whose likelihoods observations are told apart (`Cells.LIKELIHOOD`).
+        references: next states by whose likelihoods observations are distinguished (`Cells.LIKELIHOOD`).
         cell_distance: squared Hellinger distance of an observation's likelihoods from those of every cell that makes it
             a cell of its own (`Cells.LIKELIHOOD`).
     """

@@ -1,7 +1,7 @@
 """The paper's ML controller: the longitudinal law of Conditional Affordance Learning (Sauer et al. 2018).
 
 Its states are Cruising and Hazard Stop. The probability of a hazard comes from a network that sees the car's laser
-scans; somebody who has just come into view is assumed to run towards the path, until their motion is seen. It decides
+scans; a pedestrian who has just come into view is assumed to run towards the path, until the motion is seen. It decides
 20 times a second, each time on a scan of its own.
 
 What the network learns is a substitute for the label of a hazard stop, which was never published. The car's *stopping

@@ -1,6 +1,6 @@
 """A rule-based car: the longitudinal law of CARLA 0.8's own agent, with its pedals and its published zones.
 
-It is told where the adversary is, as the agent in CARLA is, and reacts to one on the lane only. Distances and angles
+It knows where the adversary is, as the agent in CARLA does, and reacts to one on the lane only. Distances and angles
 are from the car's reference point and its heading. Source: `agent/modules/obstacle_avoidance.py` and `controllers.py`
 of CARLA 0.8 (MIT).
 

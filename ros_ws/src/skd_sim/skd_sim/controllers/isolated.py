@@ -98,7 +98,7 @@ def end_call() -> None:
 
 
 def isolated(whose: str, work: Callable[[_Item], _Result], item: _Item) -> _Result:
-    """Return `work(item)`, done in the child that this process keeps for somebody's code.
+    """Return `work(item)`, done in the child that this process keeps for a user's code.
 
     Args:
         whose: name of the controller or simulator; empty where all code is SKD's own: the work is then done here, as it
@@ -274,7 +274,7 @@ class IsolatedProcess:
     def _has_ended(self) -> bool:
         try:
             return bool(os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT))
-        except ChildProcessError:  # where SIGCHLD is ignored nobody learns how
+        except ChildProcessError:  # where SIGCHLD is ignored
             return True
 
 

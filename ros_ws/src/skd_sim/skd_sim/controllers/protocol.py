@@ -39,7 +39,7 @@ class SensingController(Controller, Protocol):
     """A controller that perceives for itself: with this third method it gets the scan of each tick first."""
 
     def sense(self, scan: Scan) -> None:
-        """Take the scan of the tick for which `command` is asked next."""
+        """Take the scan of the tick for which `command` is called next."""
 
 
 def is_sensing(controller: object) -> TypeGuard[SensingController]:
@@ -63,7 +63,7 @@ class BatchController(Controller, Protocol):
 def takes_batches(controller: object) -> bool:
     """Tell whether a controller answers many episodes at once; it, or who wraps it, says so.
 
-    One that takes scans does not: it is told them one by one.
+    One that takes scans does not: it gets them one by one.
     """
     said = getattr(controller, "takes_batches", None)
     if isinstance(said, bool):
@@ -83,7 +83,7 @@ def takes_scene(controller: object) -> bool:
 
 
 def _names_of(command: Any) -> tuple[str, ...]:
-    """Return the names of what a function takes; none where it cannot be told."""
+    """Return the names of what a function takes; none where it is not known."""
     try:
         return tuple(inspect.signature(command).parameters)
     except (AttributeError, TypeError, ValueError):  # a user's class may be anything

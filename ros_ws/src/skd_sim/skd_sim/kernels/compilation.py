@@ -41,7 +41,7 @@ from skd_sim.start import environment
 VARIABLE: Final = "SKD_CACHE_DIR"
 _PLAIN: Final = (type(None), bool, int, float, complex, str, bytes)
 _LIBRARIES: Final = frozenset({"numba", "numpy", "llvmlite"}) | sys.stdlib_module_names
-"""Whose functions are told apart by their names: their versions are in each digest."""
+"""Whose functions are distinguished by their names: their versions are in each digest."""
 _VERSIONS: Final = f"{sys.version_info[:3]} {numba.__version__} {np.__version__}"
 _NumbaCache: Any = NullCache  # numba has no types for these
 _NumbaPickler: Any = NumbaPickler
@@ -62,7 +62,7 @@ def cache_folder() -> Path:
         if os.access(folder, os.W_OK | os.X_OK):
             return folder
         reason = f"{folder} cannot be written to"
-    except (OSError, RuntimeError) as error:  # the latter where nobody knows a home
+    except (OSError, RuntimeError) as error:  # the latter where there is no home
         reason = str(error)
     print(
         f"skd: warning: {reason}; so kernels are compiled anew at each start, which takes about a minute: set "
@@ -170,7 +170,7 @@ def _shape(kind: Any) -> str | None:
 
 
 class _UnknownError(Exception):
-    """A function reads something of which no two states can be told apart."""
+    """A function reads something whose states cannot be distinguished."""
 
 
 def digest_of(kernel: Callable[..., Any]) -> str | None:
@@ -182,7 +182,7 @@ def digest_of(kernel: Callable[..., Any]) -> str | None:
         kernel: plain, or compiled by numba.
 
     Returns:
-        None where it reads a value of which no two states can be told apart: then its code must not be kept.
+        None where it reads a value whose states cannot be distinguished: then its code must not be kept.
     """
     digest = hashlib.sha256(_VERSIONS.encode())
     met: dict[int, int] = {}
@@ -299,7 +299,7 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
     options: Any = {"forceinline": inline, "_nrt": counts, "nogil": nogil}
     options |= {"no_cpython_wrapper": inline, "no_cfunc_wrapper": inline}
     made: Any = numba.njit(error_model="numpy", **options)(function)
-    if isinstance(made, Dispatcher):  # not where numba is told to leave Python as it is
+    if isinstance(made, Dispatcher):  # not where numba is disabled
         vars(made)["_cache"] = KernelCache(made)
         if inline:
             made.__class__ = _InlinedKernel

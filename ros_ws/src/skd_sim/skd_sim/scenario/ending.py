@@ -21,7 +21,7 @@ from skd_sim.world.state import Trajectory
 
 _Bound = Annotated[float, limits(-500.0, 500.0, "m")] | None
 NOWHERE = (math.inf, -math.inf, math.inf, -math.inf)
-"""Bounds of a region in which nobody is."""
+"""Bounds of an empty region."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Ending(Frozen):
     loss: tuple[float, float, float, float]
 
     @cached_property
-    def _straight(self) -> bool:  # known once: it is asked in every tick
+    def _straight(self) -> bool:  # computed once: it is needed in every tick
         return bool(is_straight_north(self.line))
 
     def place(self, x: float, y: float) -> tuple[float, float]:
@@ -97,7 +97,7 @@ class Ending(Frozen):
         return -float(left), float(along)
 
     def arrived(self, x: float, y: float) -> bool:
-        """Return whether the adversary, at (x, y) in m, is where it wanted to go."""
+        """Return whether the adversary, at (x, y) in m, has arrived."""
         return inside(self.arrival, *self.place(x, y))
 
     def missed(self, x: float, y: float) -> bool:

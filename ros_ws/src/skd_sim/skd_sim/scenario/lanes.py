@@ -37,7 +37,7 @@ class _LanePlace(_Whole):
 
 @dataclass(frozen=True, kw_only=True)
 class _TimedPlace(_LanePlace):
-    """Where somebody is on a lane, and when."""
+    """Where a road user is on a lane, and when."""
 
     time: Annotated[float, limits(0.0, 600.0, "s since the start")]
 

@@ -168,7 +168,7 @@ class Road(Frozen):
         return side * (0.5 * self.lane_width + between + 0.5 * self.width(number))
 
     def place(self, number: int, along: float, aside: float = 0.0) -> tuple[float, float, float]:
-        """Return where on a lane somebody is: x, y (m), and the heading of who drives there as one should (rad).
+        """Return a place on a lane: x, y (m), and the heading in which it is driven there (rad).
 
         Args:
             number: number of the lane.

@@ -1,8 +1,8 @@
 """Road users: the adversary, and the others of a scenario: bystanders, parked and moving vehicles, a car ahead.
 
-A body is a disc, or a box that points the way it moves. The others answer to nobody: where they are depends on the time
-alone. The car under test sees them and can hit them; whoever stands is in the adversary's way as an obstacle is. What
-is special to a kind stands in a module of its own, above this package.
+A body is a disc, or a box that points the way it moves. Where the others are depends on the time alone. The car under
+test sees them and can hit them; those that stand are obstacles to the adversary. What is special to a kind stands in
+`skd_adversary.crossing.road_users`.
 """
 
 from __future__ import annotations

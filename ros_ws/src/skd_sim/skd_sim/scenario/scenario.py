@@ -104,10 +104,10 @@ class LaserSensor(Frozen):
 
 @dataclass(frozen=True)
 class Obstacle(OnLane):
-    """A parked rectangle: it hides what is behind it, and nobody walks through it.
+    """A parked rectangle: it hides what is behind it, and blocks the adversary.
 
     It stands clear of the strip that the car sweeps, so the car never meets it. With `hides: false` it is as low as a
-    guard rail: nobody walks through it, and the car's laser sees over it.
+    guard rail: it blocks the adversary, and the car's laser sees over it.
     """
 
     x: Annotated[float, limits(-100.0, 100.0, "m, centre")]

@@ -25,9 +25,9 @@ States = tuple[CarState, AdversaryState]
 
 
 class FrameSource(Protocol):
-    """Somebody else's simulator, stepped frame by frame; each method may raise `SimulatorError`.
+    """Another simulator, stepped frame by frame; each method may raise `SimulatorError`.
 
-    With a method `touching()` besides it says whether, by shapes of its own, the car touches somebody at a frame's end.
+    With a method `touching()` it says whether, by shapes of its own, the car touches a road user at a frame's end.
 
     Attributes:
         frame_step: time between frames, s.
@@ -57,7 +57,7 @@ class FramedSimulator:
     """Counts frames into control periods and ticks, and finds the first contact; see `Simulator`.
 
     Attributes:
-        clipped: how many commands of this episode asked more of the car than it can do.
+        clipped: how many commands of this episode were beyond what the car can do.
         own_contact: time of the first contact by the source's own shapes (s), at a frame's end and of the speed that
             counts as a collision; nan without one, None where the source knows of none.
     """

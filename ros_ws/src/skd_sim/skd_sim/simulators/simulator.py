@@ -61,11 +61,11 @@ class SimulatorError(Exception):
 
 
 class Simulator(Protocol):
-    """Runs one episode after another, a control period at a time when told to; it may take as long as it needs."""
+    """Runs one episode after another, a control period at a time on request; it may take as long as it needs."""
 
     @property
     def clipped(self) -> int:
-        """How many commands of this episode asked more of the car than it can do."""
+        """How many commands of this episode were beyond what the car can do."""
 
     def reset(self, episode: EpisodeSpec) -> Frame:
         """Put car and adversary at the start, as `make_world` draws it, and return tick 0.
@@ -131,7 +131,7 @@ class WorldSimulator:
 
     @property
     def clipped(self) -> int:
-        """How many commands of this episode asked more of the car than it can do."""
+        """How many commands of this episode were beyond what the car can do."""
         return self._world.clipped
 
 
@@ -225,7 +225,7 @@ class NamedSimulator:
 
     @property
     def clipped(self) -> int:
-        """How many commands of this episode asked more of the car than it can do."""
+        """How many commands of this episode were beyond what the car can do."""
         return int(self._call("clipped", lambda: self._simulator.clipped))
 
     def _frame(self, method: str, answer: object, expected: tuple[int, int]) -> Frame:
@@ -258,13 +258,9 @@ class NamedSimulator:
         off, away = _from_segment(moved, late, at_once), _from_segment(place, start, self._aim)
         self.strayed = max(self.strayed, math.dist(place, self._aim))
         if off > DISOBEYED:
-            self._abort(
-                AbortKind.REFUTED, f"in tick {tick} the adversary goes {off:.3g} m beside where it was told to go"
-            )
+            self._abort(AbortKind.REFUTED, f"in tick {tick} the adversary goes {off:.3g} m beside its commanded way")
         if away > STRAYED:
-            self._abort(
-                AbortKind.REFUTED, f"after tick {tick} the adversary is {away:.3g} m from where it was told to go"
-            )
+            self._abort(AbortKind.REFUTED, f"after tick {tick} the adversary is {away:.3g} m from its commanded place")
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
         try:

@@ -48,7 +48,7 @@ def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np
 def controller_seed(campaign_seed: int, episode_id: int) -> bytes:
     """Return the seed of what a controller under test draws: a SHA-256 digest from which neither number can be read.
 
-    The id says whether somebody tries to be hit.
+    The id says whether the adversary is a kamikaze.
     """
     return hashlib.sha256(f"{campaign_seed} {episode_id} {int(Role.CONTROLLER)}".encode()).digest()
 
@@ -87,7 +87,7 @@ class EpisodeSpec(EpisodeOptions):
         seed: seed of the campaign.
         episode_id: number of the episode within the campaign, ≥ 0; with the seed it determines every random draw.
         safe_trajectory: φ; none in safe mode.
-        public: the scenario that the controller is told, where this one is a variant of it that differs in how the car
+        public: the scenario that the controller gets, where this one is a variant of it that differs in how the car
             starts or in its noise, as of a probe or a static test: a controller may take its cruising speed from it.
             None: the same.
 
@@ -116,7 +116,7 @@ class EpisodeSpec(EpisodeOptions):
 
     @property
     def public_scenario(self) -> Scenario:
-        """What the controller is told of the scenario: the same in all episodes of an assessment."""
+        """The scenario that the controller gets: the same in all episodes of an assessment."""
         return self.scenario if self.public is None else self.public
 
     @property
@@ -167,12 +167,12 @@ class EpisodeLog:
         impact_speed: speed of the car at the first contact, m/s; nan without a collision.
         depletions: how often the adversary's belief had to be redrawn.
         reason: why it was aborted, else empty; begins with a kind of `skd_sim.world.episode`.
-        clipped: how many commands asked more of the car than it can do.
+        clipped: how many commands were beyond what the car can do.
         timing: how old the commands were; known of the graph only.
         belief: n × 4, what a planning adversary believed of the car when it decided at each tick: mean and standard
             deviation of the path coordinate of its reference point, m, and of its speed, m/s; nan at the last tick, at
-            which nobody decides any more. None where nothing was believed, or it is not known: the graph's adversary
-            keeps it to itself.
+            which nothing is decided. None where nothing was believed, or it is not known: the graph's adversary keeps
+            it to itself.
         own_contact: time since the start of the first contact by the simulator's own shapes, s; nan without one. None
             where the simulator has no shapes of its own, or did not say; SKD's geometry alone counts.
         strayed: greatest distance (m) between the adversary and where its commands would have taken it, of another
@@ -221,8 +221,8 @@ class AbortKind(StrEnum):
     """Kind of fault. A reason is a kind, a colon and what is known of it."""
 
     NO_ANSWER = "no answer"  # who has to answer was silent for too long
-    LOST = "messages lost"  # on the way; nobody in particular is to blame
-    NOT_STARTED = "not started"  # nobody was ever there
+    LOST = "messages lost"  # on the way
+    NOT_STARTED = "not started"  # it never was there
     ENDED = "process ended"  # by itself, or killed
     NOT_FINITE = "not a finite number"
     WRONG_STAMP = "wrong stamp"  # an answer to another tick

@@ -83,7 +83,7 @@ class World:
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Contact | None:
         """Advance by one control period, which may be the whole time step; return the collision in it, if any.
 
-        A tick in which there is one runs to its end under the same command: nobody decides after the contact.
+        A tick in which there is one runs to its end under the same command: nothing is decided after the contact.
 
         Args:
             acceleration: commanded acceleration of the car, m/s², finite; what it cannot do is clipped, counted.

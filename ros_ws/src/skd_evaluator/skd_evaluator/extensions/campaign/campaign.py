@@ -146,7 +146,7 @@ class Campaign:
 
         Args:
             runner: started; it serves several threads.
-            progress: told how far all of it is.
+            progress: called with how far all of it is.
             threads: how many cells run at a time.
 
         Raises:

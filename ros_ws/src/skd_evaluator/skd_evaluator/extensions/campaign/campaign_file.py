@@ -214,7 +214,7 @@ class _Reader:
         try:
             return self._path.parent / Path(name).expanduser()
         except RuntimeError as error:
-            raise UsageError(f"{self._path}: {name[:60]!r}: nobody knows that home; write the path out") from error
+            raise UsageError(f"{self._path}: {name[:60]!r}: there is no such home; write the path out") from error
 
     def _path_of(self, name: str) -> str:
         """Return a path that the file has, which is relative to the folder of the file."""

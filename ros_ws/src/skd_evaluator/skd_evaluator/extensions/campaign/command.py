@@ -78,7 +78,7 @@ def _say_resumed(campaign: Campaign, cells: Sequence[Cell], *, quiet: bool) -> N
         print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
     for label in dict.fromkeys(cell.plan.car.label for cell in cells if cell.identity["file"] is None):
         print(
-            f"skd campaign: warning: the files of {label} are not known: nobody sees whether it is still the same car",
+            f"skd campaign: warning: the files of {label} are not known: it may be another car by now",
             file=sys.stderr,
         )
 

@@ -1,7 +1,7 @@
 """The folder of a campaign: an ordinary result folder for each cell, there as soon as it is complete, and a summary.
 
 It is safe at any moment: a file is written under another name, brought to the disk and renamed. `cells.json` says what
-was asked for and is written first; `campaign.json` names the cells that are done and is written after each. What is not
+was requested and is written first; `campaign.json` names the cells that are done and is written after each. What is not
 in it is made again from the stored episodes, which are forgotten only then.
 """
 

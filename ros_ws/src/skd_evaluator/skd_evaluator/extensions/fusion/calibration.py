@@ -200,7 +200,7 @@ class ShownRecording:
 
     @property
     def clipped(self) -> int:
-        """How many commands asked more of the car than it can do."""
+        """How many commands were beyond what the car can do."""
         return self._inner.clipped
 
 

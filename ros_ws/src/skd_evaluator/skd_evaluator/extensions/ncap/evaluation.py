@@ -29,12 +29,12 @@ KMH = 3.6
 SAME = 1e-6
 """km/h, within which two speeds are the same."""
 FASTER = 1.0
-"""km/h by which a car may exceed the test speed: one that drives by itself may speed up before it sees anybody."""
+"""km/h by which a car may exceed the test speed: one that drives by itself may speed up before it sees a road user."""
 _ROUNDED = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
 
 
 def rounded_kmh(speed: float) -> float:
-    """Return a speed in km/h, rounded so that what was asked for in km/h comes back as it was."""
+    """Return a speed in km/h, rounded so that what was requested in km/h comes back as it was."""
     return round(speed, _ROUNDED) + 0.0  # no −0
 
 
@@ -148,7 +148,7 @@ class NcapRequest:
 
 
 def log_warnings(logs: Sequence[EpisodeLog]) -> list[str]:
-    """Return how many static tests were aborted, and how often the car asked for more than it can do, a line each."""
+    """Return how many static tests were aborted, and how often more was commanded than the car can do, a line each."""
     found = []
     if lost := sum(log.outcome == Outcome.ABORTED for log in logs):
         found.append(f"{lost} of {len(logs)} static tests were aborted, and their cells have no colour")
@@ -227,10 +227,10 @@ def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
     except OutOfReachError:
         raise
     except AssessmentError as error:  # it has a static test all the same
-        return f"whether the car keeps its speed with nobody near cannot be told: {error}"
+        return f"whether the car keeps its speed undisturbed is not known: {error}"
     if not slowest.slows:
         return ""
-    return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
+    return f"the car slows down to {KMH * slowest.last:.0f} km/h undisturbed, which is no test at {speed:g} km/h"
 
 
 def _with_margin(cell: NcapCell, plan: Plan, request: NcapRequest, runner: Workers) -> NcapCell:

@@ -2,8 +2,8 @@
 
 Source: the template that Euro NCAP's calculator generates (`euroncap-rating-2026` 5.4.9, Crash Avoidance - Frontal
 Collisions v1.2; colours: section 5.2, `measured_color`, to which the tolerance of a verification test does not apply).
-Rows in which a manufacturer declares a warning or a brake are those of a brake: nobody here is warned. SKD's world has
-no light, so the matrices are those of the day. A speed reduction of more than 30 km/h is red there; so it is here.
+Rows in which a manufacturer declares a warning or a brake are those of a brake: there is no driver to warn. SKD's world
+has no light, so the matrices are those of the day. A speed reduction of more than 30 km/h is red there; so it is here.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def _grid(
 
 
 def _along(slow: Sequence[float], target: float, fast_target: float) -> Iterator[MatrixPoint]:
-    """Yield the tests with somebody who goes ahead: those from 70 km/h on are avoided or failed."""
+    """Yield the tests with a road user ahead: those from 70 km/h on are avoided or failed."""
     places = (10.0, 25.0, 50.0, 75.0)
     yield from _grid(slow, target, places, (50.0,), Criterion.RELATIVE)
     yield from _grid((50.0, 60.0), target, places, (25.0, 50.0), Criterion.RELATIVE)

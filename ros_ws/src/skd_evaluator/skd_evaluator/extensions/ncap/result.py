@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module  # the calculator is slow to import, an extra, and nobody else's
+from importlib import import_module  # the calculator is slow to import, and an extra
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import fmean

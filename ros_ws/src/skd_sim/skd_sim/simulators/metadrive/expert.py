@@ -1,7 +1,7 @@
 """MetaDrive's own driver, a policy that its makers have trained by reinforcement learning, as a car under test.
 
 It steers as well as it brakes. It sees through MetaDrive's lidar, so it decides in the MetaDrive that simulates and
-nowhere else: told of the states of another world it would see a world that has just begun. Imports MetaDrive when its
+nowhere else: from the states of another world it would see a world that has just begun. Imports MetaDrive when its
 first episode begins, not before.
 
 Source: `metadrive/examples/ppo_expert` of MetaDrive (Apache-2.0; Li et al., IEEE T-PAMI 45, 2023): a network of two

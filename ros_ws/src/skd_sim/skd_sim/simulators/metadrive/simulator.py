@@ -14,7 +14,7 @@ from skd_sim.world.episode import EpisodeSpec
 
 
 class MetaDriveSimulator(FramedSimulator):
-    """One MetaDrive a process, whoever asks for it; see `Simulator`. The others of a scenario are bodies in it."""
+    """One MetaDrive a process; see `Simulator`. The others of a scenario are bodies in it."""
 
     repeats_itself: Final = True
     """Whether the same commands lead to the same states: to a rounding of its numbers, which have 24 bits."""

@@ -120,7 +120,7 @@ class VehicleSpec:
 Shape = tuple[float, float, float]
 
 LOW: Final = 0.6
-"""How high an obstacle is that hides nobody, m: below MetaDrive's lidar, which looks at 1.2 m."""
+"""How high an obstacle is that hides nothing, m: below MetaDrive's lidar, which looks at 1.2 m."""
 HIGH: Final = 1.6
 """How high any other obstacle is, m."""
 

@@ -103,7 +103,7 @@ def command_limits(scenario: Scenario) -> CommandLimits:
 
 
 def clipped_line(counts: Sequence[int], low: float, high: float) -> str:
-    """Return what is said of commands that asked more than a car can do.
+    """Return what is said of commands beyond what a car can do.
 
     Args:
         counts: of such commands, one for each episode that has any.
@@ -111,7 +111,7 @@ def clipped_line(counts: Sequence[int], low: float, high: float) -> str:
         high: greatest.
     """
     return (
-        f"{sum(counts)} commands in {len(counts)} episodes asked more than this car can do; they were clipped to "
+        f"{sum(counts)} commands in {len(counts)} episodes were beyond what this car can do; they were clipped to "
         f"{low:.3g} … {high:.3g} m/s²"
     )
 
