@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from io import StringIO
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import finite_number, read_text
+from skd_sim.inputs.files import finite_number, open_regular
 from skd_sim.inputs.yaml_file import short
 
 LONGEST_HOLE: Final = 0.6
@@ -31,7 +31,7 @@ class Table(NamedTuple):
     """Rows of a csv file: values (rows × columns, in the requested order) and the line number of each row."""
 
     values: FloatArray
-    lines: npt.NDArray[np.int64]
+    lines: IntArray
 
 
 def read_table(path: Path, columns: Mapping[str, float]) -> Table:
@@ -42,36 +42,71 @@ def read_table(path: Path, columns: Mapping[str, float]) -> Table:
         columns: name → greatest magnitude allowed, in the column's unit.
 
     Raises:
-        UsageError: file missing or unreadable, a column missing or there twice, a row too short or too long, or a value
-            that is not a number, not finite or out of range.
+        UsageError: as `csv_rows`, or a value is out of range.
     """
-    rows = csv.reader(StringIO(read_text(path), newline=""))
-    values: list[list[float]] = []
-    lines: list[int] = []
-    try:
-        header = [name.strip() for name in next(rows, [])]
-        for name in columns:
-            if header.count(name) != 1:
-                count = "no column" if name not in header else "two columns"
-                raise UsageError(
-                    f"{path}, line 1: {count} {name!r}; the header must name {','.join(columns)}, got "
-                    f"{short(','.join(header))}"
-                )
-        places = [header.index(name) for name in columns]
-        for row in rows:
-            if not any(cell.strip() for cell in row):
-                continue
-            where = f"{path}, line {rows.line_num}"
-            if len(row) <= max(places) or any(cell.strip() for cell in row[len(header) :]):
-                raise UsageError(f"{where}: {len(row)} values where the header names {len(header)}")
-            values.append([finite_number(row[place].strip(), f"{where}: {header[place]}") for place in places])
-            for value, (name, limit) in zip(values[-1], columns.items(), strict=True):
-                if abs(value) > limit:
-                    raise UsageError(f"{where}: {name} must lie within ±{limit:g}, got {value:g}")
-            lines.append(rows.line_num)
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
-    return Table(np.array(values, np.float64).reshape(-1, len(columns)), np.array(lines, np.int64))
+    rows = list(csv_rows(path, tuple(columns)))
+    table = Table(np.array([row for _, _, row in rows], np.float64), np.array([line for line, _, _ in rows], np.int64))
+    table = table._replace(values=table.values.reshape(-1, len(columns)))
+    for row, place in np.argwhere(np.abs(table.values) > list(columns.values())).tolist():
+        name = list(columns)[place]
+        got = f"{name} must lie within ±{columns[name]:g}, got {table.values[row, place]:g}"
+        raise UsageError(f"{path}, line {table.lines[row]}: {got}")
+    return table
+
+
+def header_of(path: Path) -> list[str]:
+    """Return the columns of a csv file."""
+    return next((row for _, row in _lines(path)), [])
+
+
+def csv_rows(
+    path: Path, numbers: Sequence[str], texts: Sequence[str] = (), empty: Collection[str] = ()
+) -> Iterator[tuple[int, list[str], list[float]]]:
+    """Yield line, texts and numbers of some columns, row by row; blank lines are left out.
+
+    Args:
+        path: the file; it may have millions of rows.
+        numbers: columns of numbers.
+        texts: other columns.
+        empty: columns of numbers that may be empty: nan.
+
+    Raises:
+        UsageError: it cannot be read, a column is missing or there twice, a row is too short or too long, or a value is
+            no finite number.
+    """
+    lines = _lines(path)
+    header = next((row for _, row in lines), [])
+    for name in (*numbers, *texts):
+        if header.count(name) != 1:
+            what = "two columns" if name in header else "no column"
+            needed = f"the header must name {','.join((*numbers, *texts))}, got {short(','.join(header))}"
+            raise UsageError(f"{path}, line 1: {what} {name!r}; {needed}")
+    places = {name: header.index(name) for name in (*numbers, *texts)}
+    for line, row in lines:
+        if not any(row):
+            continue
+        where = f"{path}, line {line}"
+        if len(row) <= max(places.values()) or any(row[len(header) :]):
+            raise UsageError(f"{where}: {len(row)} values where the header names {len(header)}")
+        cells = {name: row[place] for name, place in places.items()}
+        values = [
+            math.nan if name in empty and not cells[name] else finite_number(cells[name], f"{where}: {name}")
+            for name in numbers
+        ]
+        yield line, [cells[name] for name in texts], values
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and cells of each line, the header first."""
+    with open_regular(path) as stream:
+        rows = csv.reader(TextIOWrapper(stream, "utf-8-sig", newline=""), strict=True)
+        try:
+            for row in rows:
+                yield rows.line_num, [cell.strip() for cell in row]
+        except csv.Error as error:
+            raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
+        except UnicodeDecodeError as error:
+            raise UsageError(f"{path}: not a text file in UTF-8") from error
 
 
 def resample(times: FloatArray, positions: FloatArray, time_step: float) -> FloatArray:

@@ -6,8 +6,6 @@ and `/detections:42` the object of a Detection3DArray with this id. Times are th
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,9 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from skd_adversary.safe_trajectories.recordings import csv_rows, header_of
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import finite_number, open_regular
 from skd_sim.ros.from_messages import from_stamp
 
 from skd_evaluator.bags.checks import Damage
@@ -604,60 +602,3 @@ def table_tracks(path: Path, names: Collection[str] = ()) -> dict[str, Track | L
                 raise
             found[name] = Listed(name, "t, id, x, y", len(table), table[:, 0], why=str(error).removeprefix(where)[2:])
     return found
-
-
-def header_of(path: Path) -> list[str]:
-    """Return the columns of a csv file."""
-    return next((row for _, row in _lines(path)), [])
-
-
-def csv_rows(
-    path: Path, numbers: Sequence[str], texts: Sequence[str], empty: Collection[str] = ()
-) -> Iterator[tuple[int, list[str], list[float]]]:
-    """Yield line, texts and numbers of some columns, row by row; blank lines are left out.
-
-    Args:
-        path: the file; it may have millions of rows.
-        numbers: columns of numbers.
-        texts: other columns.
-        empty: columns of numbers that may be empty: nan.
-
-    Raises:
-        UsageError: it cannot be read, a column is missing or there twice, or a value is no number.
-    """
-    lines = _lines(path)
-    header = next((row for _, row in lines), [])
-    for name in (*numbers, *texts):
-        if header.count(name) != 1:
-            raise UsageError(f"{path}, line 1: {'two columns' if name in header else 'no column'} {name!r}")
-    places = {name: header.index(name) for name in (*numbers, *texts)}
-    for line, row in lines:
-        if not any(row):
-            continue
-        if len(row) <= max(places.values()) or any(row[len(header) :]):
-            raise UsageError(f"{path}, line {line}: {len(row)} values where the header names {len(header)}")
-        yield (
-            line,
-            [row[places[name]] for name in texts],
-            [
-                math.nan
-                if name in empty and not row[places[name]]
-                else finite_number(row[places[name]], f"{path}, line {line}: {name}")
-                for name in numbers
-            ],
-        )
-
-
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of each line, the header first."""
-    if path.is_dir():
-        raise UsageError(f"{path}: is a folder")
-    with open_regular(path) as stream:
-        rows = csv.reader(io.TextIOWrapper(stream, "utf-8-sig", newline=""), strict=True)
-        try:
-            for row in rows:
-                yield rows.line_num, [cell.strip() for cell in row]
-        except csv.Error as error:
-            raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
-        except UnicodeDecodeError as error:
-            raise UsageError(f"{path}: not a text file in UTF-8") from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import IO, Any
 
 
@@ -41,6 +41,15 @@ def print_json(content: Mapping[str, Any]) -> None:
     print(text, file=_Standard.output)
     if _Standard.output is not None:
         _Standard.output.flush()
+
+
+def closing(command: str, warnings: Iterable[str], problem: str | None = None) -> int:
+    """Print warnings, and why a result was not written, to standard error; return the exit code of a command."""
+    for line in dict.fromkeys(warnings):
+        print(f"skd {command}: warning: {line}", file=sys.stderr)
+    if problem:
+        print(f"skd {command}: {problem}", file=sys.stderr)
+    return 1 if problem else 0
 
 
 def is_read(printing: Callable[[], None]) -> bool:

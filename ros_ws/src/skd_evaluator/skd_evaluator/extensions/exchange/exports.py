@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import closing, print_json
 from skd_evaluator.extensions.exchange.osi import osi_messages, osi_name, osi_writer, write_osi
 from skd_evaluator.extensions.exchange.scene import (
     ADVERSARY,
@@ -163,11 +162,7 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
         episodes = sum("episode_id" in one.entry for one in going)
         said = f"{len(going) - episodes} φ and {counted(episodes, 'episode')} as {arguments.format} in {out.path}"
         print(f"{said}; {EXPORT} says which file is which")
-    for line in subject.warnings:
-        print(f"skd export: warning: {line}", file=sys.stderr)
-    if problem:
-        print(f"skd export: {problem}", file=sys.stderr)
-    return 1 if problem else 0
+    return closing("export", subject.warnings, problem)
 
 
 _UNKNOWN_DATE = "1970-01-01T00:00:00Z"

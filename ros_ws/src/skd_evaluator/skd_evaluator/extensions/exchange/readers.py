@@ -15,6 +15,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from skd_adversary.safe_trajectories.recordings import csv_rows, header_of
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, is_there, read_json, read_xml
 from skd_sim.scenario.road_user import ROAD_USERS
@@ -34,8 +35,6 @@ from skd_evaluator.bags.tracks import (
     Track,
     bag_listing,
     bag_tracks,
-    csv_rows,
-    header_of,
     listed,
     table_tracks,
 )

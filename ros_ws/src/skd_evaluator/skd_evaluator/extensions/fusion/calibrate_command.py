@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +18,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import closing, print_json
 from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
     POOR,
@@ -44,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.physical is None:
         raise UsageError("--calibrate needs PHYSICAL, the table of physical trials")
     begin = time.perf_counter()
-    folder, physical = arguments.simulated, arguments.physical
+    folder = arguments.simulated
     out = result_folder(arguments)
     simulated = read_simulated(folder)
     if simulated.scenario is None:
@@ -57,25 +56,22 @@ def run(arguments: argparse.Namespace) -> int:
     world = replace(simulated.scenario, control_period=check_controller(car, simulated.scenario).control_period)
     recorder = recorder_of(simulated, arguments)
     assert recorder is not None
-    trials = _recorded(recorder, world, table_in(physical))
-    workers = arguments.workers or available_workers()
-    calibration = _calibrated(world, car, trials, arguments.parameters, workers)
+    trials = _recorded(recorder, world, table_in(arguments.physical))
+    calibration = _calibrated(world, car, trials, arguments.parameters, arguments.workers or available_workers())
     if calibration.after > POOR:
         raise UsageError(
-            f"nothing is said of the simulator: with the best parameters simulated cars are {calibration.after:.2f} m "
-            f"(root mean square) from where recorded ones were, more than {POOR:g} m; it is another car or other "
-            "software, or one that decides otherwise by the noise of the recordings"
+            f"with the best parameters simulated cars are {calibration.after:.2f} m (root mean square) from where "
+            f"recorded ones were, more than {POOR:g} m: it is another car, or other software"
         )
     best = replace(calibrated(world, calibration.values), name=f"{world.name}_calibrated")
-    warnings = [*simulated.remarks, *warnings_of(calibration), *recorder.damage.lines]
     content = {
         "simulated": simulated.source,
-        "physical": str(physical),
+        "physical": str(arguments.physical),
         "trials": len(trials),
         "phi": len({one.phi for one in trials}),
         "parameters": {
             one.parameter.name: {
-                "place": ".".join(one.parameter.place),
+                "place": one.parameter.place,
                 "unit": one.parameter.unit,
                 "value": one.value,
                 "ci95": one.interval and list(one.interval),
@@ -89,29 +85,23 @@ def run(arguments: argparse.Namespace) -> int:
         "places_off_before": calibration.before,
         "places_off_after": calibration.after,
         "places_off_by_trial": calibration.by_trial.tolist(),
-        "sentences": sentences(calibration),
-        "warnings": warnings,
+        "sentences": _sentences(calibration),
+        "warnings": [*simulated.remarks, *_warnings(calibration), *recorder.damage.lines],
     }
 
     def write(where: Path) -> None:
-        text = to_yaml(best.as_dict())
-        (where / SCENARIO).write_text(text, encoding="utf-8")
+        (where / SCENARIO).write_text(to_yaml(best.as_dict()), encoding="utf-8")
         write_json(where / RESULT, content)
 
     problem = out.save(write)
     if arguments.json:
         print_json(content)
     else:
-        print_table(parameter_table(calibration, world))
-        for line in content["sentences"]:
-            print(line)
+        print_table(_table(calibration, calibrated(world, {})))
+        print(*content["sentences"], sep="\n")
         seconds = f"{time.perf_counter() - begin:.1f} s"
         print(seconds if problem else f"{seconds}; the calibrated scenario is {out.path / SCENARIO}")
-    for line in warnings:
-        print(f"skd fuse --calibrate: warning: {line}", file=sys.stderr)
-    if problem:
-        print(f"skd fuse --calibrate: {problem}", file=sys.stderr)
-    return 1 if problem else 0
+    return closing("fuse --calibrate", content["warnings"], problem)
 
 
 def _recorded(recorder: TrialRecorder, world: Scenario, table: Path) -> list[Recorded]:
@@ -132,40 +122,35 @@ def _calibrated(
     world: Scenario, car: CarUnderTest, trials: Sequence[Recorded], names: Sequence[str] | None, workers: int
 ) -> SimulatorCalibration:
     known = [name for name, one in PARAMETERS.items() if not one.sensing or world.sensor is not None]
-    if names and (absent := [one for one in names if one not in known]):
+    if absent := [one for one in names or () if one not in known]:
         raise UsageError(f"{absent[0]} cannot be calibrated: scenario {world.name} has no sensor")
     start = {name: PARAMETERS[name].of(calibrated(world, {})) for name in known}
+    numbers = list(dict.fromkeys(one.phi for one in trials))
     with InProcessRunner(workers, isolated=not car.is_own) as runner:
         runner.start()
 
         def off(values: Mapping[str, float]) -> list[np.ndarray]:
             scenario = calibrated(world, values)
-            return list(
-                runner.map(off_by, [ReplayedDrive(one, scenario, car.controller, car.multiplier) for one in trials])
-            )
+            drives = [ReplayedDrive(one, scenario, car.controller, car.multiplier) for one in trials]
+            return list(runner.map(off_by, drives))
 
-        numbers = list(dict.fromkeys(one.phi for one in trials))
-        free = [name for name in known if not names or name in names]
         try:
+            free = [name for name in known if not names or name in names]
             return estimated(off, start, free, [numbers.index(one.phi) for one in trials])
         except ValueError as error:
             raise UsageError(str(error)) from error
 
 
-def warnings_of(calibration: SimulatorCalibration) -> list[str]:
-    """Return what a reader should know before believing a calibration."""
+def _warnings(calibration: SimulatorCalibration) -> list[str]:
     found = [
         f"{one.parameter.text} is at the end of its range, {one.parameter.shown(one.value)}"
         for one in calibration.told
         if one.value in one.parameter.range
     ]
-    if not calibration.told:
-        found.append("the trials say nothing of the simulator's parameters")
-    return found
+    return found if calibration.told else ["the trials say nothing of the simulator's parameters"]
 
 
-def sentences(calibration: SimulatorCalibration) -> list[str]:
-    """Return what may be said, a sentence each."""
+def _sentences(calibration: SimulatorCalibration) -> list[str]:
     said = [
         f"The {one.parameter.text} is {one.parameter.shown(one.value)}, with a 95 % interval from "
         f"{one.parameter.shown(one.interval[0])} to {one.parameter.shown(one.interval[1])}."
@@ -179,17 +164,13 @@ def sentences(calibration: SimulatorCalibration) -> list[str]:
     return said
 
 
-def parameter_table(calibration: SimulatorCalibration, world: Scenario) -> Table:
+def _table(calibration: SimulatorCalibration, begun: Scenario) -> Table:
     """Return the table of all parameters."""
-    table = narrow_table("The simulator by the physical trials")
-    for name in ("", "scenario", "estimate", "95 %\ninterval"):
-        table.add_column(name, justify="right" if name else "left")
-    begun = calibrated(world, {})
+    rows = []
     for one in calibration.estimates:
         name = f"{one.parameter.text} ({one.parameter.unit})" if one.parameter.unit else one.parameter.text
-        own = f"{one.parameter.of(begun):.3g}"
-        if one.interval is None:
-            table.add_row(name, own, "—", one.reason)
-        else:
-            table.add_row(name, own, f"{one.value:.3g}", f"[{one.interval[0]:.3g}, {one.interval[1]:.3g}]")
-    return table
+        found = ("—", one.reason)
+        if one.interval is not None:
+            found = f"{one.value:.3g}", f"[{one.interval[0]:.3g}, {one.interval[1]:.3g}]"
+        rows.append((name, f"{one.parameter.of(begun):.3g}", *found))
+    return narrow_table("The simulator by the physical trials", ("", "scenario", "estimate", "95 %\ninterval"), rows)

@@ -5,13 +5,12 @@ trial. The controller is asked with car and road user as they were recorded, so 
 whatever the simulated car does. A car that decides by what it sees would otherwise decide otherwise after the first
 small difference, and late parts of a trial would say nothing of brake and road.
 
-A search over a grid, then Gauss-Newton with finite differences, and steps to all sides. A limit is believed where
-trials go worse without it, by an F test in which each φ counts as one number: beyond a limit all values are alike, and
-noise would find one. One that is not shown may be there all the same, so intervals of the others hold both. What is
-left of a trial is not independent from tick to tick: a car that braked late stays ahead. So the covariance is the
-cluster jackknife of φ, of which each is left out in turn, by one step of Gauss-Newton (CR3: J. G. MacKinnon and
-H. White, Journal of Econometrics 29, 1985; R. M. Bell and D. F. McCaffrey, Survey Methodology 28, 2002), with Student's
-quantile.
+A search over a grid, then scipy's least squares with differences of finite steps. A limit is believed where trials go
+worse without it, by an F test in which each φ counts as one number: beyond a limit all values are alike, and noise
+would find one. One that is not shown may be there all the same, so intervals of the others hold both. What is left of a
+trial is not independent from tick to tick: a car that braked late stays ahead. So the covariance is the cluster
+jackknife of φ, of which each is left out in turn, by one step of Gauss-Newton (CR3: J. G. MacKinnon and H. White,
+Journal of Econometrics 29, 1985; R. M. Bell and D. F. McCaffrey, Survey Methodology 28, 2002), with Student's quantile.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from typing import Final
 
 import numpy as np
 from scipy import special
+from scipy.optimize import least_squares
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import DYNAMICS
@@ -60,7 +60,7 @@ class WorldParameter:
     """
 
     name: str
-    place: tuple[str, str]
+    place: str
     text: str
     unit: str
     range: tuple[float, float]
@@ -71,7 +71,7 @@ class WorldParameter:
 
     def of(self, scenario: Scenario) -> float:
         """Return its value in a scenario."""
-        section, key = self.place
+        section, key = self.place.split(".")
         return float(getattr(getattr(scenario, section), key))
 
     def shown(self, value: float) -> str:
@@ -82,42 +82,15 @@ class WorldParameter:
 PARAMETERS = {
     one.name: one
     for one in (
-        WorldParameter(
-            "delay", ("car", "brake_delay"), "brake's delay", "s", (0.0, 1.0), (0.0, 0.1, 0.2, 0.35, 0.55), 0.03
-        ),
-        WorldParameter(
-            "deceleration",
-            ("car", "brake_limit"),
-            "brake's greatest deceleration",
-            "m/s²",
-            (0.5, 15.0),
-            (2.0, 3.0, 4.0, 5.0, 6.5, 8.5),
-            0.15,
-            is_limit=True,
-        ),
-        WorldParameter(
-            "friction",
-            ("road", "friction"),
-            "friction, relative to a dry road",
-            "",
-            (0.05, 1.3),
-            (0.15, 0.25, 0.35, 0.5, 0.7, 0.9),
-            0.02,
-            is_limit=True,
-        ),
-        WorldParameter(
-            "sensor_range",
-            ("sensor", "maximum_range"),
-            "sensor's range",
-            "m",
-            (2.0, 100.0),
-            (6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 50.0),
-            1.0,
-            is_limit=True,
-            sensing=True,
-        ),
+        WorldParameter("delay", "car.brake_delay", "brake's delay", "s", (0.0, 1.0), (0.0, 0.1, 0.2, 0.35, 0.55), 0.03),
+        WorldParameter("deceleration", "car.brake_limit", "brake's greatest deceleration", "m/s²",
+                       (0.5, 15.0), (2.0, 3.0, 4.0, 5.0, 6.5, 8.5), 0.15, is_limit=True),
+        WorldParameter("friction", "road.friction", "friction, relative to a dry road", "",
+                       (0.05, 1.3), (0.15, 0.25, 0.35, 0.5, 0.7, 0.9), 0.02, is_limit=True),
+        WorldParameter("sensor_range", "sensor.maximum_range", "sensor's range", "m",
+                       (2.0, 100.0), (6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 50.0), 1.0, is_limit=True, sensing=True),
     )
-}
+}  # fmt: skip
 
 
 def calibrated(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
@@ -126,7 +99,7 @@ def calibrated(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
     if not DYNAMICS[scenario.car.dynamics].tyres:
         data["car"] = {**data["car"], "dynamics": TYRES}
     for name, value in values.items():
-        section, key = PARAMETERS[name].place
+        section, key = PARAMETERS[name].place.split(".")
         data[section] = {**data[section], key: float(value)}
     return scenario_from_dict(data, f"scenario {scenario.name}, calibrated")
 
@@ -265,15 +238,12 @@ POOR = 0.3
 _ALIKE = 0.97
 """Cosine of two parameters' effects from which on nobody can tell them apart."""
 _FELT = 0.02
-"""m, root mean square over all ticks: a step of a parameter that moves cars less than that is not felt."""
-_ROUNDS, _NEAR = 12, 0.02
-"""Steps of Gauss-Newton, and share of a parameter's step by which the last may still move it."""
-_HALVINGS = 5
+"""m, root mean square over all ticks: a parameter that moves cars less, where it changes much, is not felt."""
+_NEAR = 1e-4
+"""Share of values, and of the sum of squares, that the last step of least squares may still change."""
 _AS_WELL = 1.1
 """Sum of squares over the least one, up to which a limit explains the trials as well as another."""
 _HARDLY = "the trials hardly depend on it"
-_POLISHED = 3
-"""How often steps to all sides and Gauss-Newton take turns."""
 _SHOWN = 0.01
 """p-value of trials going no worse without a limit, below which it is believed."""
 
@@ -343,112 +313,120 @@ def estimated(
     Raises:
         ValueError: fewer than five φ.
     """
-    off, numbers = _remembered(off), np.asarray(groups)
-    count = len(set(groups))
+    misfit, count = _Misfit(off, groups), len(set(groups))
     if count < LEAST_PAIRS:
         raise ValueError(f"trials on {count} φ are too few to calibrate with: at least {LEAST_PAIRS} are needed")
-    before = _together(off(start))
-    values, reasons = _begun(off, dict(start), free)
+    values, reasons = _begun(misfit, dict(start), free)
     names = [name for name in free if not PARAMETERS[name].is_limit or values[name] != start[name]]
-    maybe: list[dict[str, Interval]] = []
-    slopes: list[list[FloatArray]] = []
+    maybe: list[tuple[FloatArray, FloatArray]] = []
+    spread = np.zeros((0, 0))
     while names:
-        values = _descended(off, values, names)
-        slopes = _slopes(off, values, names)
-        dropped = _dropped(slopes, names)
+        values = misfit.fitted(values, names)
+        dropped = _dropped(misfit.slopes(values, names), names)
         if dropped is None:
-            dropped = _not_shown(off, values, start, names, count)
+            quantile = student_quantile(max(1.0, count - len(names)), confidence)
+            spread = misfit.covariance(values, names)
+            maybe.append(_ends(values, names, quantile * np.sqrt(np.diag(spread))))
+            dropped = _not_shown(misfit, values, start, names, count)
             if dropped is None:
                 break
-            maybe.append(_intervals(values, names, slopes, off(values), numbers, confidence)[1])
         name, reasons[name] = dropped
+        maybe = [tuple(np.delete(end, names.index(name)) for end in both) for both in maybe]  # type: ignore[misc]
         names.remove(name)
         values[name] = start[name]
-    left, freedom = off(values), float(max(1, count - len(names)))
-    spread, intervals = _intervals(values, names, slopes, left, numbers, confidence)
-    spread, intervals = _widened(values, names, spread, intervals, maybe, student_quantile(freedom, confidence))
-    found = []
-    for name in (one for one in PARAMETERS if one in values):
-        if name in names:
-            error = math.sqrt(spread[names.index(name), names.index(name)])
-            found.append(ParameterEstimate(PARAMETERS[name], values[name], intervals[name], error))
-        else:
-            found.append(
-                ParameterEstimate(PARAMETERS[name], values[name], None, None, reasons.get(name) or "not asked for")
-            )
-    order = [names.index(one.parameter.name) for one in found if one.interval is not None]
-    return SimulatorCalibration(
-        tuple(found),
-        spread[np.ix_(order, order)],
-        freedom,
-        math.sqrt(np.mean(before**2)),
-        math.sqrt(np.mean(_together(left) ** 2)),
-        np.array([math.sqrt(np.mean(one**2)) for one in left]),
-    )
+    found = {
+        name: ParameterEstimate(PARAMETERS[name], values[name], None, None, reasons.get(name, "not asked for"))
+        for name in PARAMETERS
+        if name in values
+    }
+    if names:  # intervals hold those with a limit, too, that was left out and may be there
+        low, high = np.min([one for one, _ in maybe], axis=0), np.max([one for _, one in maybe], axis=0)
+        at = np.array([values[name] for name in names])
+        wider = np.maximum(1.0, np.maximum(at - low, high - at) / (quantile * np.sqrt(np.diag(spread))))
+        spread = spread * np.outer(wider, wider)
+        for name, begin, end, error in zip(names, low.tolist(), high.tolist(), np.sqrt(np.diag(spread)), strict=True):
+            found[name] = ParameterEstimate(PARAMETERS[name], values[name], (begin, end), float(error))
+    order = [names.index(name) for name in found if name in names]
+    before, after = (math.sqrt(np.mean(misfit.together(one) ** 2)) for one in (start, values))
+    by_trial = np.array([math.sqrt(np.mean(one**2)) for one in misfit(values)])
+    freedom = float(max(1, count - len(names)))
+    return SimulatorCalibration(tuple(found.values()), spread[np.ix_(order, order)], freedom, before, after, by_trial)
 
 
-def _together(parts: Sequence[FloatArray]) -> FloatArray:
-    return np.concatenate(parts)
+def _ends(values: Mapping[str, float], names: Sequence[str], reach: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return both ends of the intervals of parameters, within their ranges."""
+    low, high = np.array([PARAMETERS[name].range for name in names]).T
+    at = np.array([values[name] for name in names])
+    return np.maximum(low, at - reach), np.minimum(high, at + reach)
 
 
-def _squares(off: Off, values: Mapping[str, float]) -> float:
-    return float(np.sum(_together(off(values)) ** 2))
+class _Misfit:
+    """Recorded less simulated places by values of parameters; each set of values is simulated once."""
+
+    def __init__(self, off: Off, groups: Sequence[int]) -> None:
+        self._off, self._groups = off, np.asarray(groups)
+        self._known: dict[tuple[float, ...], list[FloatArray]] = {}
+
+    def __call__(self, values: Mapping[str, float]) -> list[FloatArray]:
+        """Return it by trial, m, per tick."""
+        key = tuple(values.values())
+        if key not in self._known:
+            self._known[key] = self._off(values)
+        return self._known[key]
+
+    def together(self, values: Mapping[str, float]) -> FloatArray:
+        """Return it of all trials, one after the other."""
+        return np.concatenate(self(values))
+
+    def squares(self, values: Mapping[str, float]) -> float:
+        """Return the sum of its squares, m²."""
+        return float(np.sum(self.together(values) ** 2))
+
+    def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> FloatArray:
+        """Return how simulated places change with parameters, m per unit, a column each: by a step to either side."""
+        found = []
+        for name in names:
+            sides = np.clip(values[name] + np.array([-1.0, 1.0]) * PARAMETERS[name].step, *PARAMETERS[name].range)
+            less, more = (self.together({**values, name: side}) for side in sides.tolist())
+            found.append((less - more) / (sides[1] - sides[0]))
+        return np.column_stack(found)
+
+    def fitted(self, values: dict[str, float], names: Sequence[str]) -> dict[str, float]:
+        """Return the values of least squares near some, of which those with names may move within their ranges."""
+        if not names:
+            return values
+
+        def put(at: FloatArray) -> dict[str, float]:
+            return {**values, **dict(zip(names, at.tolist(), strict=True))}
+
+        def left(at: FloatArray) -> FloatArray:
+            return self.together(put(at))
+
+        def slopes(at: FloatArray) -> FloatArray:
+            return -self.slopes(put(at), names)
+
+        chosen, begin = [PARAMETERS[name] for name in names], [values[name] for name in names]
+        (low, high), steps = np.array([one.range for one in chosen]).T, [one.step for one in chosen]
+        found = least_squares(left, begin, slopes, (low, high), "dogbox", ftol=_NEAR, xtol=_NEAR, x_scale=steps)
+        return put(found.x)
+
+    def covariance(self, values: Mapping[str, float], names: Sequence[str]) -> FloatArray:
+        """Return the cluster jackknife of the estimates: each φ left out by one step of Gauss-Newton."""
+        left, slopes = self.together(values), self.slopes(values, names)
+        of = np.repeat(self._groups, [len(one) for one in self(values)])
+        rows = [of == number for number in dict.fromkeys(of.tolist())]
+        parts = np.array([slopes[one].T @ slopes[one] for one in rows])
+        scores = np.array([slopes[one].T @ left[one] for one in rows])
+        whole, score = parts.sum(axis=0), scores.sum(axis=0)
+        best = np.linalg.solve(whole, score)  # 0 but for values at the end of a range
+        moved = [
+            np.linalg.lstsq(whole - part, score - own, rcond=1e-9)[0] - best
+            for part, own in zip(parts, scores, strict=True)
+        ]
+        return np.asarray((len(rows) - 1.0) / len(rows) * (np.transpose(moved) @ moved))
 
 
-def _intervals(
-    values: Mapping[str, float],
-    names: Sequence[str],
-    slopes: Sequence[Sequence[FloatArray]],
-    left: Sequence[FloatArray],
-    groups: np.ndarray,
-    confidence: float,
-) -> tuple[FloatArray, dict[str, Interval]]:
-    """Return covariance and intervals of parameters, in their ranges."""
-    if not names:
-        return np.zeros((0, 0)), {}
-    spread = _covariance(slopes, left, groups)
-    quantile = student_quantile(max(1.0, len(set(groups.tolist())) - len(names)), confidence)
-    found = {}
-    for place, name in enumerate(names):
-        low, high = PARAMETERS[name].range
-        reach = quantile * math.sqrt(spread[place, place])
-        found[name] = max(low, values[name] - reach), min(high, values[name] + reach)
-    return spread, found
-
-
-def _widened(
-    values: Mapping[str, float],
-    names: Sequence[str],
-    spread: FloatArray,
-    intervals: Mapping[str, Interval],
-    maybe: Sequence[Mapping[str, Interval]],
-    quantile: float,
-) -> tuple[FloatArray, dict[str, Interval]]:
-    """Return covariance and intervals that hold those with a limit, too, that was left out and may be there."""
-    times, found = np.ones(len(names)), dict(intervals)
-    for place, name in enumerate(names):
-        low = min(one[name][0] for one in [intervals, *maybe])
-        high = max(one[name][1] for one in [intervals, *maybe])
-        found[name] = low, high
-        reach = max(values[name] - low, high - values[name])
-        times[place] = max(1.0, reach / (quantile * math.sqrt(spread[place, place])))
-    return spread * np.outer(times, times), found
-
-
-def _remembered(off: Off) -> Off:
-    """Return the same, of which each answer is computed once."""
-    known: dict[tuple[float, ...], list[FloatArray]] = {}
-
-    def answer(values: Mapping[str, float]) -> list[FloatArray]:
-        key = tuple(values[name] for name in PARAMETERS if name in values)
-        if key not in known:
-            known[key] = off(values)
-        return known[key]
-
-    return answer
-
-
-def _begun(off: Off, start: dict[str, float], free: Sequence[str]) -> tuple[dict[str, float], dict[str, str]]:
+def _begun(misfit: _Misfit, start: dict[str, float], free: Sequence[str]) -> tuple[dict[str, float], dict[str, str]]:
     """Return the values from which to go on, and why some limits are not told.
 
     Each limit is tried with every value of what is none, and the first is taken that explains the trials as well as
@@ -458,12 +436,12 @@ def _begun(off: Off, start: dict[str, float], free: Sequence[str]) -> tuple[dict
     tried = [start]
     for name in plain:
         tried += [{**one, name: value} for one in tried for value in PARAMETERS[name].tried]
-    found = {"": min(tried, key=lambda one: _squares(off, one))}
+    found = {"": min(tried, key=misfit.squares)}
     for name in (one for one in free if PARAMETERS[one].is_limit):
         grid = [{**one, name: value} for one in tried for value in PARAMETERS[name].tried]
-        best = min([found[""], *grid], key=lambda one: _squares(off, one))
-        found[name] = _descended(off, best, [*plain, name]) if best[name] != start[name] else best
-    squares = {name: _squares(off, one) for name, one in found.items()}
+        best = min([found[""], *grid], key=misfit.squares)
+        found[name] = misfit.fitted(best, [*plain, name]) if best[name] != start[name] else best
+    squares = {name: misfit.squares(one) for name, one in found.items()}
     chosen = next(name for name, left in squares.items() if left <= _AS_WELL * min(squares.values()))
     reasons = {
         name: f"the trials do not tell it from the {PARAMETERS[chosen].text}"
@@ -478,123 +456,33 @@ def _begun(off: Off, start: dict[str, float], free: Sequence[str]) -> tuple[dict
         if reason == _HARDLY and chosen
         for value in PARAMETERS[name].tried
     ]
-    return min([found[chosen], *further], key=lambda one: _squares(off, one)), reasons
+    return min([found[chosen], *further], key=misfit.squares), reasons
 
 
-def _slopes(off: Off, values: Mapping[str, float], names: Sequence[str]) -> list[list[FloatArray]]:
-    """Return by parameter and trial how simulated places change with it, m per unit: by a step to either side."""
-    found = []
-    for name in names:
-        parameter = PARAMETERS[name]
-        low, high = (
-            min(max(values[name] + side * parameter.step, parameter.range[0]), parameter.range[1])
-            for side in (-1.0, 1.0)
-        )
-        less, more = off({**values, name: low}), off({**values, name: high})
-        found.append([(one - other) / (high - low) for one, other in zip(less, more, strict=True)])
-    return found
-
-
-def _descended(off: Off, values: dict[str, float], names: Sequence[str]) -> dict[str, float]:
-    """Return values after Gauss-Newton and steps to all sides, in turn."""
-    for _ in range(_POLISHED):
-        values = _by_slopes(off, values, names)
-        aside = _beside(off, values, names)
-        if aside == values:
-            break
-        values = aside
-    return values
-
-
-def _beside(off: Off, values: dict[str, float], names: Sequence[str]) -> dict[str, float]:
-    """Return values some steps to either side, one parameter after another, where that is better."""
-    for name in names:
-        parameter = PARAMETERS[name]
-        low, high = parameter.range
-        sides = [min(max(values[name] + steps * parameter.step, low), high) for steps in (-2.0, -0.7, 0.7, 2.0)]
-        values = min([values, *({**values, name: value} for value in sides)], key=lambda one: _squares(off, one))
-    return values
-
-
-def _by_slopes(off: Off, values: dict[str, float], names: Sequence[str]) -> dict[str, float]:
-    """Return values after steps of Gauss-Newton, halved where they do not help."""
-    for _ in range(_ROUNDS):
-        slopes = np.column_stack([_together(one) for one in _slopes(off, values, names)])
-        left = _together(off(values))
-        scale = np.array([PARAMETERS[name].step for name in names])
-        step = np.linalg.lstsq(slopes * scale, left, rcond=1e-6)[0] * scale
-        least, share = float(left @ left), 1.0
-        for _halving in range(_HALVINGS):
-            tried = dict(values)
-            for name, by in zip(names, step.tolist(), strict=True):
-                low, high = PARAMETERS[name].range
-                tried[name] = min(max(values[name] + share * by, low), high)
-            if _squares(off, tried) < least:
-                break
-            share *= 0.5
-        else:
-            return values
-        moved = max(abs(tried[name] - values[name]) / PARAMETERS[name].step for name in names)
-        values = tried
-        if moved < _NEAR:
-            break
-    return values
-
-
-def _dropped(slopes: Sequence[Sequence[FloatArray]], names: Sequence[str]) -> tuple[str, str] | None:
+def _dropped(slopes: FloatArray, names: Sequence[str]) -> tuple[str, str] | None:
     """Return a parameter of which the trials say nothing, and why; None where there is none."""
-    felt = [_together(one) * PARAMETERS[name].step for one, name in zip(slopes, names, strict=True)]
-    for one, name in zip(felt, names, strict=True):
-        if math.sqrt(float(np.mean(one**2))) < _FELT * PARAMETERS[name].step / _typical(name):
+    for slope, name in zip(slopes.T, names, strict=True):
+        tried = PARAMETERS[name].tried  # a change that matters is a tenth of those
+        if math.sqrt(np.mean(slope**2)) * 0.1 * (tried[-1] - tried[0]) < _FELT:
             return name, _HARDLY
-    for second in range(len(names) - 1, 0, -1):
-        for first in range(second):
-            alike = float(felt[first] @ felt[second]) / math.sqrt(
-                float(felt[first] @ felt[first]) * float(felt[second] @ felt[second])
-            )
-            if abs(alike) > _ALIKE:
-                return names[second], f"the trials do not tell it from the {PARAMETERS[names[first]].text}"
-    return None
+    unit = slopes / np.linalg.norm(slopes, axis=0)
+    alike = np.argwhere(np.tril(np.abs(unit.T @ unit), -1) > _ALIKE)
+    if not alike.size:
+        return None
+    second, first = max(alike.tolist(), key=lambda pair: (pair[0], -pair[1]))
+    return names[second], f"the trials do not tell it from the {PARAMETERS[names[first]].text}"
 
 
 def _not_shown(
-    off: Off, values: Mapping[str, float], start: Mapping[str, float], names: Sequence[str], count: int
+    misfit: _Misfit, values: Mapping[str, float], start: Mapping[str, float], names: Sequence[str], count: int
 ) -> tuple[str, str] | None:
     """Return a limit without which the trials go as well, and that; None where there is none."""
     for name in reversed(names):
         if not PARAMETERS[name].is_limit or values[name] == start[name]:
             continue
-        without = _descended(off, {**values, name: start[name]}, [one for one in names if one != name])
-        left, more = (sum(float(one @ one) for one in off(found)) for found in (values, without))
-        freedom = max(1, count - len(names))
+        without = misfit.fitted({**values, name: start[name]}, [one for one in names if one != name])
+        left, more, freedom = misfit.squares(values), misfit.squares(without), max(1, count - len(names))
         beyond = (more - left) / max(left / freedom, 1e-12)
-        if float(special.fdtrc(1, freedom, max(0.0, beyond))) > _SHOWN:
+        if special.fdtrc(1, freedom, max(0.0, beyond)) > _SHOWN:
             return name, "without it the trials go as well: the car did not come to it"
     return None
-
-
-def _typical(name: str) -> float:
-    """Return a change of a parameter that matters: a tenth of the values that are tried."""
-    tried = PARAMETERS[name].tried
-    return 0.1 * (tried[-1] - tried[0])
-
-
-def _covariance(slopes: Sequence[Sequence[FloatArray]], left: Sequence[FloatArray], groups: np.ndarray) -> FloatArray:
-    """Return the cluster jackknife of the estimates: each φ left out by one step of Gauss-Newton."""
-    parts, scores = [], []
-    for number in dict.fromkeys(groups.tolist()):
-        trials = np.flatnonzero(groups == number).tolist()
-        slope = np.column_stack([np.concatenate([one[trial] for trial in trials]) for one in slopes])
-        off = np.concatenate([left[trial] for trial in trials])
-        parts.append(slope.T @ slope)
-        scores.append(slope.T @ off)
-    whole, score = np.sum(parts, axis=0), np.sum(scores, axis=0)
-    best = np.linalg.solve(whole, score)  # 0 but for values at the end of a range
-    moved = np.array(
-        [
-            np.linalg.lstsq(whole - part, score - own, rcond=1e-9)[0] - best
-            for part, own in zip(parts, scores, strict=True)
-        ]
-    )
-    count = len(parts)
-    return np.asarray((count - 1.0) / count * (moved.T @ moved))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from skd_sim.inputs.model import YesNo, limits, read_model
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.tracks import RecordingFrame
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import closing, print_json
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS, Mean, trials_for_width
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fuse
 from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled
@@ -72,11 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not problem:
             print(f"results in {out.path}")
     notes = [f"{one.figure.text}: {note}" for one in figures for note in one.notes]
-    for line in dict.fromkeys([*warnings, *notes]):
-        print(f"skd fuse: warning: {line}", file=sys.stderr)
-    if problem:
-        print(f"skd fuse: {problem}", file=sys.stderr)
-    return 1 if problem else 0
+    return closing("fuse", [*warnings, *notes], problem)
 
 
 @dataclass(frozen=True)
@@ -100,34 +95,31 @@ def _plan(arguments: argparse.Namespace) -> int:
     shown = sorted({*CORRELATIONS, *(() if known is None else (known,))})
     alone = trials_for_width(width, deviation)
     rows = [(one, trials_for_width(width, deviation, one, simulated)) for one in shown]
-    for line in warnings:
-        print(f"skd fuse: warning: {line}", file=sys.stderr)
     if arguments.json:
-        content = {
-            "figure": figure.key,
-            "width": width,
-            "deviation": deviation,
-            "correlation": known,
-            "simulated_phi": simulated,
-            "source": source,
-            "physical_alone": alone,
-            "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
-        }
-        print_json(content)
-        return 0
+        print_json(
+            {
+                "figure": figure.key,
+                "width": width,
+                "deviation": deviation,
+                "correlation": known,
+                "simulated_phi": simulated,
+                "source": source,
+                "physical_alone": alone,
+                "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
+            }
+        )
+        return closing("fuse", warnings)
     unit = f" {figure.unit}" if figure.unit else ""
     print(f"{figure.text}: standard deviation {deviation:.3f}{unit} from φ to φ; {source}")
-    table = narrow_table(f"Physical trials, one on each φ, until the 95 % interval is {width:g}{unit} wide")
-    table.add_column("")
-    table.add_column("trials", justify="right")
-    table.add_row("physical trials alone", str(alone or "never"))
+    cells = [("physical trials alone", str(alone or "never"))]
     for one, trials in rows:
-        cells = f"with the simulator, where ρ = {one:.2f}", str(trials or "never")
-        table.add_row(*(f"[bold]{cell}[/]" if one == known else cell for cell in cells))
-    print_table(table)
+        row = f"with the simulator, where ρ = {one:.2f}", str(trials or "never")
+        cells.append((f"[bold]{row[0]}[/]", f"[bold]{row[1]}[/]") if one == known else row)
+    title = f"Physical trials, one on each φ, until the 95 % interval is {width:g}{unit} wide"
+    print_table(narrow_table(title, ("", "trials"), cells))
     if known is None:
         print("how well the simulator predicts is known when at least 5 trials are fused: skd fuse")
-    return 0
+    return closing("fuse", warnings)
 
 
 def _planned_with(folder: Path, key: str) -> tuple[float, float | None, int, str, list[str]]:
@@ -176,22 +168,23 @@ def recorder_of(
 
 def fusion_table(figures: Sequence[FusedFigure]) -> Table:
     """Return the table of all figures."""
-    table = narrow_table("The physical car; what stands is bold")
-    for name in ("", "physical\nalone", "with the\nsimulator", "ρ", "predicts\n(p)", "trials\nsaved", "gap"):
-        table.add_column(name, justify="right" if name else "left")
+    rows = []
     for one in figures:
         both = "—" if one.with_simulator is None else mean_text(one, one.with_simulator)
         single = mean_text(one, one.alone)
-        table.add_row(
-            f"{one.figure.text} ({one.figure.unit})" if one.figure.unit else one.figure.text,
-            single if one.predicts else f"[bold]{single}[/]",
-            f"[bold]{both}[/]" if one.predicts else both,
-            "—" if one.line.correlation is None else f"{one.line.correlation:.2f}",
-            "—" if one.with_simulator is None else f"{'yes' if one.predicts else 'no'} ({one.line.p_value:.2g})",
-            str(one.saved),
-            f"{one.gap.mean:+.2f}",
+        rows.append(
+            (
+                f"{one.figure.text} ({one.figure.unit})" if one.figure.unit else one.figure.text,
+                single if one.predicts else f"[bold]{single}[/]",
+                f"[bold]{both}[/]" if one.predicts else both,
+                "—" if one.line.correlation is None else f"{one.line.correlation:.2f}",
+                "—" if one.with_simulator is None else f"{'yes' if one.predicts else 'no'} ({one.line.p_value:.2g})",
+                str(one.saved),
+                f"{one.gap.mean:+.2f}",
+            )
         )
-    return table
+    heads = ("", "physical\nalone", "with the\nsimulator", "ρ", "predicts\n(p)", "trials\nsaved", "gap")
+    return narrow_table("The physical car; what stands is bold", heads, rows)
 
 
 def mean_text(one: FusedFigure, mean: Mean) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from skd_adversary.safe_trajectories.recordings import csv_rows, header_of
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, real_path
@@ -19,7 +20,6 @@ from skd_sim.world.episode import Mode, Outcome
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes
 from skd_evaluator.assessment.files.results import read_both
-from skd_evaluator.bags.tracks import csv_rows, header_of
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.metrics.surrogate_measures import GRID, MOST, greatest_required_deceleration, least_clearance
 from skd_evaluator.metrics.surrogate_scenes import Interaction, Interactions, course_of, scene_of
