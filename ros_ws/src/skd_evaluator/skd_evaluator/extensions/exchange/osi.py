@@ -17,13 +17,12 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line, open_regular
-from skd_sim.scenario.road import ONCOMING
 from skd_sim.start import installing
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.messages import Condition, read_messages
 from skd_evaluator.bags.tracks import Listed, Track, listed
-from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, stretch
+from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, lanes_of
 
 
 def osi_messages() -> Any:
@@ -311,37 +310,27 @@ def _say_role(found: Any, actor: Actor) -> None:
 
 def _add_lanes(message: Any, recorded: ExportedEpisode) -> None:
     """Add the lanes, each between two boundaries of its own, as long as the episode needs them."""
-    road = recorded.scenario.road
-    numbers = sorted(road.every_lane)
-    ids = {number: _FIRST_LANE + index for index, number in enumerate(numbers)}
-    for index, number in enumerate(numbers):
-        lane = road.every_lane[number]
-        low, high = stretch(recorded.scenario, [recorded], 0 if lane.beside else number)
-        edges = [road.edge(side, low, high, number) for side in (-1.0, 1.0)]
-        if lane.direction == ONCOMING:  # its own left is the road's right
-            edges = [edges[1][::-1], edges[0][::-1]]
+    every = lanes_of(recorded)
+    ids = {lane.number: _FIRST_LANE + index for index, lane in enumerate(every)}
+    for index, lane in enumerate(every):
         found = message.lane.add()
-        found.id.value = ids[number]
+        found.id.value = ids[lane.number]
         said = found.classification
         said.type, said.subtype = said.TYPE_DRIVING, said.SUBTYPE_NORMAL
-        said.is_host_vehicle_lane, said.centerline_is_driving_direction = number == 0, True
-        for x, y in (0.5 * (edges[0] + edges[1])).tolist():
-            point = said.centerline.add()
-            point.x, point.y, point.z = x, y, 0.0
-        for place, (edge, edge_ids) in enumerate(
-            zip(edges, (said.left_lane_boundary_id, said.right_lane_boundary_id), strict=True)
-        ):
+        said.is_host_vehicle_lane, said.centerline_is_driving_direction = lane.number == 0, True
+        for x, y in (0.5 * (lane.left + lane.right)).tolist():
+            said.centerline.add(x=x, y=y, z=0.0)
+        sides = (lane.left, said.left_lane_boundary_id), (lane.right, said.right_lane_boundary_id)
+        for place, (edge, edge_ids) in enumerate(sides):
             boundary = message.lane_boundary.add()
             boundary.id.value = _FIRST_BOUNDARY + 2 * index + place
             edge_ids.add().value = boundary.id.value
             boundary.classification.type = boundary.classification.TYPE_SOLID_LINE
             boundary.classification.color = boundary.classification.COLOR_WHITE
             for x, y in edge.tolist():
-                point = boundary.boundary_line.add()
-                point.position.x, point.position.y, point.position.z = x, y, 0.0
-        if lane.beside:
-            sides = ((said.left_adjacent_lane_id, -1), (said.right_adjacent_lane_id, 1))
-            for adjacent, side in sides:
-                beside = number + (-side if lane.direction == ONCOMING else side)
-                if beside in ids and road.every_lane[beside].beside:
-                    adjacent.add().value = ids[beside]
+                point = boundary.boundary_line.add().position
+                point.x, point.y, point.z = x, y, 0.0
+        adjacent = said.left_adjacent_lane_id, said.right_adjacent_lane_id
+        for other, those in zip(lane.beside, adjacent, strict=True):
+            if other is not None:
+                those.add().value = ids[other]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.scenario.road import right_and_along, road_pose
+from skd_sim.scenario.road import ONCOMING, right_and_along, road_pose
 from skd_sim.scenario.road_user import CAR, Body, called, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
@@ -171,6 +172,36 @@ def stretch(scenario: Scenario, recorded: Sequence[ExportedEpisode], lane: int =
     places += [np.array([each.start[:2]]) for each in recorded]
     along = right_and_along(line, np.ascontiguousarray(np.concatenate(places)))[:, 1]
     return math.floor(along.min() / 10.0) * 10.0 - _BEYOND, math.ceil(along.max() / 10.0) * 10.0 + _BEYOND
+
+
+class DrawnLane(NamedTuple):
+    """A lane as far as an episode needs it, as its drivers see it.
+
+    Attributes:
+        number: of it.
+        left: its left edge in the direction of travel, n × 2, m.
+        right: its right edge.
+        beside: numbers of the lanes to its left and right; None: none.
+    """
+
+    number: int
+    left: FloatArray
+    right: FloatArray
+    beside: tuple[int | None, int | None]
+
+
+def lanes_of(recorded: ExportedEpisode) -> list[DrawnLane]:
+    """Return every lane of an episode, by number."""
+    road, found = recorded.scenario.road, []
+    for number, lane in sorted(road.every_lane.items()):
+        low, high = stretch(recorded.scenario, [recorded], 0 if lane.beside else number)
+        edges, step = [road.edge(side, low, high, number) for side in (-1.0, 1.0)], 1
+        if lane.direction == ONCOMING:  # its own left is the road's right
+            edges, step = [edges[1][::-1], edges[0][::-1]], -1
+        known = {one for one, other in road.every_lane.items() if lane.beside and other.beside}
+        left, right = (one if one in known else None for one in (number - step, number + step))
+        found.append(DrawnLane(number, edges[0], edges[1], (left, right)))
+    return found
 
 
 _BEYOND = 50.0
