@@ -20,9 +20,12 @@ LINE = "".join(
     f'<Vertex time="{t}"><Position><WorldPosition x="{1.4 * t - 2.8}" y="1"/></Position></Vertex>' for t in range(5)
 )
 """Along y = 1 from x = −2.8 to 2.8 m in 4 s."""
-ROAD = """<OpenDRIVE><road id="7" length="100"><planView>
+ROAD = """<OpenDRIVE><road id="7" length="120"><planView>
 <geometry s="0" x="10" y="20" hdg="0" length="50"><line/></geometry>
-<geometry s="50" x="60" y="20" hdg="0" length="50"><arc curvature="0.02"/></geometry></planView>
+<geometry s="50" x="60" y="20" hdg="0" length="50"><arc curvature="0.02"/></geometry>
+<geometry s="100" x="0" y="0" hdg="0" length="10"><spiral curvStart="0.02" curvEnd="0.02"/></geometry>
+<geometry s="110" x="5" y="6" hdg="1.5707963267948966" length="10"><paramPoly3 pRange="normalized" aU="0" bU="10" cU="0"
+ dU="0" aV="0" bV="0" cV="4" dV="0"/></geometry></planView>
 <lanes><laneOffset s="0" a="1" b="0" c="0" d="0"/><laneSection s="0"><right>
 <lane id="-1"><width sOffset="0" a="3" b="0" c="0" d="0"/></lane>
 <lane id="-2"><width sOffset="0" a="2" b="0" c="0" d="0"/></lane></right></laneSection></lanes></road></OpenDRIVE>"""
@@ -43,10 +46,10 @@ def follows(shape: str, name: str = "Walker", timed: str = TIMED, **attributes: 
     )
 
 
-def speed(value: float, name: str = "Walker") -> str:
+def speed(value: float, name: str = "Walker", how: str = 'dynamicsShape="step" value="0"') -> str:
     return (
         f'<Init><Actions><Private entityRef="{name}"><PrivateAction><LongitudinalAction><SpeedAction>'
-        '<SpeedActionDynamics dynamicsShape="step" value="0"/><SpeedActionTarget>'
+        f"<SpeedActionDynamics {how}/><SpeedActionTarget>"
         f'<AbsoluteTargetSpeed value="{value}"/></SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>'
         "</Private></Actions></Init>"
     )
@@ -76,7 +79,13 @@ PARAMETERS = "".join(
 
 
 @pytest.mark.parametrize(
-    ("x", "at"), [("$left", -2.8), ("${-$half + 2 * $halfway}", -2.8), ("${round(pow(2, 3) / 3) - 5.8}", -2.8)]
+    ("x", "at"),
+    [
+        ("$left", -2.8),
+        ("${-$half + 2 * $halfway}", -2.8),
+        ("${round(pow(2, 3) / 3) - 5.8}", -2.8),
+        ("${-2.8 * min(1, pi)}", -2.8),
+    ],
 )
 def test_parameters_and_expressions_are_put_in(tmp_path: Path, x: str, at: float):
     board = follows(f"<Polyline>{LINE.replace('-2.8', x, 1)}</Polyline>", "$who")
@@ -115,13 +124,32 @@ def test_lane_positions_are_places_on_the_opendrive(tmp_path: Path):
         '<LanePosition roadId="7" laneId="-1" s="20"/>',  # 1 − 1.5 m to the left of the line
         '<LanePosition roadId="7" laneId="-2" s="20" offset="0.5"/>',  # 1 − 3 − 1 + 0.5
         f'<RoadPosition roadId="7" s="{50 + 25 * math.pi / 2}" t="2"/>',  # an eighth of a circle of radius 50
+        '<RoadPosition roadId="7" s="100" t="0"/>',
+        '<RoadPosition roadId="7" s="110" t="0"/>',  # where the next piece begins
+        '<RoadPosition roadId="7" s="115" t="0"/>',  # u = 5 and v = 1, turned to the left
     ]
     line = "".join(f'<Vertex time="{9 * n}"><Position>{one}</Position></Vertex>' for n, one in enumerate(at))
     found = track(xosc(tmp_path, follows(f"<Polyline>{line}</Polyline>")))
     half = math.sqrt(0.5)
     assert found.places == pytest.approx(
-        np.array([[30.0, 19.5], [30.0, 17.5], [60.0 + 48.0 * half, 70.0 - 48.0 * half]])
+        np.array(
+            [[30.0, 19.5], [30.0, 17.5], [60.0 + 48.0 * half, 70.0 - 48.0 * half], [0.0, 0.0], [5.0, 6.0], [4.0, 11.0]]
+        )
     )
+
+
+@pytest.mark.parametrize(
+    ("how", "until"),
+    [
+        ('dynamicsShape="step" value="0" dynamicsDimension="time"', 5.6 / 2),
+        ('dynamicsShape="linear" value="4" dynamicsDimension="rate"', 0.5 + (5.6 - 0.5) / 2),  # 0.5 m in 0.5 s
+        ('dynamicsShape="linear" value="0.5" dynamicsDimension="time"', 0.5 + (5.6 - 0.5) / 2),
+        ('dynamicsShape="linear" value="0.5" dynamicsDimension="distance"', 0.5 + (5.6 - 0.5) / 2),
+    ],
+)
+def test_a_speed_that_is_reached_from_rest_says_when_who_follows_is_where(tmp_path: Path, how: str, until: float):
+    found = track(xosc(tmp_path, speed(2.0, how=how) + follows(f"<Polyline>{LINE}</Polyline>", timed="")))
+    assert (found.times[0], found.times[-1]) == pytest.approx((0.0, until))
 
 
 @pytest.mark.parametrize(

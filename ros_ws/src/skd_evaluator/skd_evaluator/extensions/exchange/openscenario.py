@@ -10,8 +10,8 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -42,25 +42,24 @@ def read_openscenario(root: Element, path: Path) -> list[Track | Listed]:
         path: the file, beside which its OpenDRIVE is.
     """
     _put_in_parameters(root)
-    header = root.find("FileHeader")
-    flips = header is not None and header.get("description", "").startswith(_CARLA)
-    places = _Places(root, path)
-    found: list[Track | Listed] = []
-    entities = {one.get("name", ""): one for one in root.iter("ScenarioObject")}
+    is_carla = any(one.get("description", "").startswith(_CARLA) for one in root.findall("FileHeader"))
+    logic = root.find("RoadNetwork/LogicFile")
+    road_map = None if logic is None else path.parent / logic.get("filepath", "").replace("\\", "/")
+    objects = {one.get("name", ""): one for one in root.iter("ScenarioObject")}
     refs = [one.get("entityRef", "") for tag in ("EntityRef", "Private") for one in root.iter(tag)]
-    for name in dict.fromkeys((*entities, *refs)):
-        entity = entities.get(name, Element("none"))
-        follows, others = _actions_of(root, name)
-        form = _form(follows, others)
+    found: list[Track | Listed] = []
+    for name in dict.fromkeys((*objects, *refs)):
+        where = f"{path}, {name}"
+        entity = _Entity(name, where, *_actions_of(root, name), road_map)
         try:
-            track = _track(name, follows, others, places, f"{path}, {name}")
+            track = replace(entity.track(), kind=_kind(objects.get(name, Element("none"))))
         except UsageError as error:
-            found.append(Listed(name, form, 0, np.zeros(0), why=str(error).removeprefix(f"{path}, {name}: ")))
+            found.append(Listed(name, entity.form, 0, np.zeros(0), why=str(error).removeprefix(f"{where}: ")))
             continue
-        notes = ("y turned over, for CARLA's points right",) if flips else ()
-        found.append(
-            replace(track, places=track.places * [1.0, -1.0 if flips else 1.0], kind=_kind(entity), notes=notes)
-        )
+        if is_carla:
+            turned = track.places * [1.0, -1.0]
+            track = replace(track, places=turned, notes=("y turned over, for CARLA's points right",))
+        found.append(track)
     return found
 
 
@@ -70,17 +69,181 @@ def _actions_of(root: Element, name: str) -> tuple[list[Element], list[Element]]
     for group in root.iter("ManeuverGroup"):
         if name in [one.get("entityRef") for one in group.findall("Actors/EntityRef")]:
             private.append(group)
+    actions = [one for inside in private for action in inside.iter("PrivateAction") for one in action]
     follows = [one for inside in private for one in inside.iter("FollowTrajectoryAction")]
-    actions = (one for inside in private for action in inside.iter("PrivateAction") for one in action)
     return follows, [one for one in actions if one.find("FollowTrajectoryAction") is None]
 
 
-def _form(follows: list[Element], others: list[Element]) -> str:
-    """Return by what an entity moves, in the words of the format."""
-    if follows:
-        return " and ".join(dict.fromkeys(_shape(one)[0] for one in follows))
-    inner = (one for action in others for one in action if action.tag != "TeleportAction")
-    return " and ".join(dict.fromkeys(one.tag for one in inner)) or STANDS
+def _kind(entity: Element) -> str:
+    """Return what an entity says it is: its own word for SKD, else its category."""
+    said = [one.get("value", "") for one in entity.iter("Property") if one.get("name") == "skd.kind"]
+    for body in entity:
+        said += [one for one in (body.get("vehicleCategory"), body.get("pedestrianCategory")) if one]
+    return said[0] if said else ""
+
+
+@dataclass(frozen=True)
+class _Entity:
+    """An entity of a file.
+
+    Attributes:
+        name: of it.
+        where: file and name, for messages.
+        follows: trajectories that it follows.
+        others: its other actions.
+        road_map: the file's OpenDRIVE; None where it names none.
+    """
+
+    name: str
+    where: str
+    follows: Sequence[Element]
+    others: Sequence[Element]
+    road_map: Path | None
+
+    @property
+    def form(self) -> str:
+        """By what it moves, in the words of the format."""
+        if self.follows:
+            return " and ".join(dict.fromkeys(_shape(one)[0] for one in self.follows))
+        inner = (one for action in self.others for one in action if action.tag != "TeleportAction")
+        return " and ".join(dict.fromkeys(one.tag for one in inner)) or STANDS
+
+    def track(self) -> Track:
+        """Return its track.
+
+        Raises:
+            UsageError: the file says none that is read.
+        """
+        if not self.follows:
+            moved = f"moves by {self.form}" if self.others else "nothing in the file moves it"
+            raise self._refused(f"{moved}; read are {_READ}")
+        if len(self.follows) > 1:
+            raise self._refused("follows two trajectories; give a file in which it follows one")
+        follow, form = self.follows[0], self.form
+        unknown = next((text for one in follow.iter() for text in one.attrib.values() if "$" in text), None)
+        if unknown is not None:
+            raise self._refused(f"the parameter {unknown[:40]!r} is not declared, or in two ways")
+        if self._number(follow, "initialDistanceOffset", "0") != 0.0:
+            raise self._refused("begins within its trajectory (initialDistanceOffset), whose times do not")
+        kind, shape = _shape(follow)
+        reader = {"Polyline": self._polyline, "Clothoid": self._clothoid, "Nurbs": self._nurbs}.get(kind)
+        if reader is None or shape is None:
+            raise self._refused(f"follows a {kind}, which is not read; read are {_READ}")
+        rows, timing = reader(shape), follow.find("TimeReference/Timing")
+        if timing is not None:
+            if np.isnan(rows[:, 0]).any():
+                raise self._refused("a vertex has no time, so nothing says when it is there")
+            scale = self._number(timing, "scale")
+            if not 1e-6 < scale < 1e6:
+                raise self._refused(f"scale of Timing must be above 0, got {scale:g}")
+            rows[:, 0] = rows[:, 0] * scale + self._number(timing, "offset")
+        else:
+            reached = self._speed()
+            if reached is None:
+                raise self._refused(
+                    f"its {kind} is followed without times (TimeReference), and not at one speed: nothing says when it "
+                    "is where"
+                )
+            (speed, rate), along = reached, np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, 1:], axis=0).T)))
+            start = 0.5 * speed**2 / rate  # m, from which on it has its speed
+            rows[:, 0] = np.where(along < start, np.sqrt(2.0 * along / rate), speed / rate + (along - start) / speed)
+            form = f"{form} at {speed:g} m/s"
+        return Track.of_rows(rows, self.where, self.name, form=form, drawn=True)
+
+    def _refused(self, why: str) -> UsageError:
+        return UsageError(f"{self.where}: {why}")
+
+    def _number(self, element: Element, key: str, default: str = "") -> float:
+        return finite_number(element.get(key, default), f"{self.where}: {key} of {element.tag}")
+
+    def _speed(self) -> tuple[float, float] | None:
+        """Return the one speed (m/s) that it is given, and the rate (m/s²) at which it comes to it from rest."""
+        speeds = [one for action in self.others for one in action.iter("SpeedAction")]
+        targets = [one for action in speeds for one in action.iter("AbsoluteTargetSpeed")]
+        dynamics = [one for action in speeds for one in action.iter("SpeedActionDynamics")]
+        if not len(speeds) == len(targets) == len(dynamics) == 1:
+            return None
+        speed, value = self._number(targets[0], "value"), self._number(dynamics[0], "value", "0")
+        said = dynamics[0].get("dynamicsShape"), dynamics[0].get("dynamicsDimension")
+        if speed <= 0.0 or value < 0.0:
+            return None
+        if said[0] == "step" or value == 0.0:
+            return speed, math.inf
+        rates = {"rate": value, "time": speed / value, "distance": 0.5 * speed**2 / value}
+        return (speed, rates[said[1]]) if said[0] == "linear" and said[1] in rates else None
+
+    # Shapes: time (s, nan where there is none), x, y
+
+    def _polyline(self, shape: Element) -> FloatArray:
+        return self._points(shape.findall("Vertex"))
+
+    def _points(self, elements: Sequence[Element]) -> FloatArray:
+        """Return time, x and y of vertices or control points, n × 3."""
+        rows = [
+            (self._number(one, "time") if "time" in one.attrib else math.nan, *self._place(one.find("Position")))
+            for one in elements
+        ]
+        return np.array(rows, np.float64).reshape(-1, 3)
+
+    def _nurbs(self, shape: Element) -> FloatArray:
+        """Return places along a rational B-spline; its control points' times are a dimension like x and y."""
+        controls, order = shape.findall("ControlPoint"), int(self._number(shape, "order"))
+        points, weights = self._points(controls), np.array([self._number(one, "weight", "1") for one in controls])
+        knots = np.array([self._number(one, "value") for one in shape.findall("Knot")])
+        if order < 2 or len(points) < order or len(knots) != len(points) + order:
+            raise self._refused(
+                f"follows a NURBS of order {order} with {len(points)} control points and {len(knots)} knots; as many "
+                "points as its order, and knots for both, are needed"
+            )
+        begin, end = knots[order - 1], knots[len(points)]
+        if (weights <= 0.0).any() or (np.diff(knots) < 0.0).any() or begin >= end:
+            raise self._refused("follows a NURBS with weights or knots that must be above others")
+        spline = BSpline(knots, np.column_stack([points, np.ones(len(points))]) * weights[:, None], order - 1)
+        at = np.linspace(begin, end, _SAMPLES + 1)
+        at[-1] = np.nextafter(at[-1], -math.inf)
+        found = spline(at)
+        return np.asarray(found[:, :3] / found[:, 3:])
+
+    def _clothoid(self, shape: Element) -> FloatArray:
+        """Return places along a clothoid, and its times, which pass as its length does."""
+        prime = "curvaturePrime" if "curvaturePrime" in shape.attrib else "curvatureDot"
+        bend, change, length = (self._number(shape, key) for key in ("curvature", prime, "length"))
+        world = shape.find("Position/WorldPosition")
+        if world is None:
+            raise self._refused("its clothoid does not begin at a WorldPosition")
+        x, y, h = self._number(world, "x"), self._number(world, "y"), self._number(world, "h", "0")
+        x, y, _, along = _spiral(x, y, h, bend, change, length).T
+        begin, end = (_number_or_none(shape.get(key)) for key in ("startTime", "stopTime"))
+        times = np.full(len(along), math.nan)
+        if begin is not None and end is not None:
+            times = begin + (end - begin) * along / length
+        return np.column_stack([times, x, y])
+
+    def _place(self, position: Element | None) -> tuple[float, float]:
+        """Return x and y of a position, m.
+
+        Raises:
+            UsageError: it is of a kind that is not read, or its road is not.
+        """
+        found = next(iter(position), Element("none")) if position is not None else Element("none")
+        if found.tag == "WorldPosition":
+            return self._number(found, "x"), self._number(found, "y")
+        here = f"a vertex is at a {found.tag}"
+        if found.tag not in ("LanePosition", "RoadPosition"):
+            raise self._refused(f"{here}, and read are WorldPosition, LanePosition, RoadPosition")
+        if self.road_map is None or not is_there(self.road_map) or not self.road_map.is_file():
+            name = "no file" if self.road_map is None else self.road_map.name
+            raise self._refused(f"{here}, not at a WorldPosition, and its OpenDRIVE is {name} here")
+        road = _roads(self.road_map).get(found.get("roadId", ""))
+        if road is None:
+            raise self._refused(
+                f"a vertex is on road {found.get('roadId')!r}, which {self.road_map.name} does not have"
+            )
+        s, t, lane, offset = (self._number(found, key, "0") for key in ("s", "t", "laneId", "offset"))
+        try:
+            return _on_road(road, s, t if found.tag == "RoadPosition" else _lane_centre(road, s, int(lane)) + offset)
+        except UsageError as error:
+            raise self._refused(f"a vertex is at {s:g} m of road {found.get('roadId')!r}: {error}") from error
 
 
 def _shape(follow: Element) -> tuple[str, Element | None]:
@@ -91,58 +254,6 @@ def _shape(follow: Element) -> tuple[str, Element | None]:
     return shape[0].tag, shape[0]
 
 
-def _track(name: str, follows: list[Element], others: list[Element], places: _Places, where: str) -> Track:
-    form = _form(follows, others)
-    if len(follows) > 1:
-        raise UsageError(f"{where}: follows two trajectories; give a file in which it follows one")
-    if not follows:
-        raise UsageError(
-            f"{where}: {f'moves by {form}' if others else 'nothing in the file moves it'}; read are {_READ}"
-        )
-    unknown = next((text for one in follows[0].iter() for text in one.attrib.values() if "$" in text), None)
-    if unknown is not None:
-        raise UsageError(f"{where}: the parameter {unknown[:40]!r} is not declared, or in two ways")
-    offset = follows[0].get("initialDistanceOffset", "0")
-    if finite_number(offset, f"{where}: initialDistanceOffset") != 0.0:
-        raise UsageError(f"{where}: begins within its trajectory (initialDistanceOffset), whose times do not")
-    kind, shape = _shape(follows[0])
-    line = {"Polyline": _polyline, "Clothoid": _clothoid, "Nurbs": _nurbs}.get(kind)
-    if line is None or shape is None:
-        raise UsageError(f"{where}: follows a {kind}, which is not read; read are {_READ}")
-    rows = line(shape, places, where)
-    timing = follows[0].find("TimeReference/Timing")
-    if timing is not None and np.isnan(rows[:, 0]).any():
-        raise UsageError(f"{where}: a vertex has no time, so nothing says when it is there")
-    if timing is not None:
-        scale, start = (finite_number(timing.get(key, ""), f"{where}: {key} of Timing") for key in ("scale", "offset"))
-        if not 1e-6 < scale < 1e6:
-            raise UsageError(f"{where}: scale of Timing must be above 0, got {scale:g}")
-        rows[:, 0] = rows[:, 0] * scale + start
-    else:
-        speed = _one_speed(others)
-        if speed is None:
-            raise UsageError(
-                f"{where}: its {kind} is followed without times (TimeReference), and not at one speed: nothing says "
-                "when it is where"
-            )
-        rows[:, 0] = np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, 1:], axis=0).T))) / speed
-        form = f"{form} at {speed:g} m/s"
-    return Track.of_rows(rows, where, name, form=form, drawn=True)
-
-
-def _one_speed(others: list[Element]) -> float | None:
-    """Return the speed (m/s) that an entity is given at once, and once; None without."""
-    speeds = [one for action in others for one in action.iter("SpeedAction")]
-    if len(speeds) != 1:
-        return None
-    dynamics, target = speeds[0].find("SpeedActionDynamics"), speeds[0].find(".//AbsoluteTargetSpeed")
-    at_once = dynamics is not None and (
-        dynamics.get("dynamicsShape") == "step" or _number_or_none(dynamics.get("value")) == 0.0
-    )
-    speed = None if target is None else _number_or_none(target.get("value"))
-    return speed if at_once and speed else None
-
-
 def _number_or_none(text: str | None) -> float | None:
     try:
         return finite_number(text or "", "")
@@ -150,121 +261,7 @@ def _number_or_none(text: str | None) -> float | None:
         return None
 
 
-def _kind(entity: Element) -> str:
-    """Return what an entity says it is: its own word for SKD, else its category."""
-    for one in entity.iter("Property"):
-        if one.get("name") == "skd.kind":
-            return one.get("value", "")
-    for tag, key in (("Vehicle", "vehicleCategory"), ("Pedestrian", "pedestrianCategory")):
-        body = entity.find(tag)
-        if body is not None:
-            return body.get(key, "")
-    return ""
-
-
-# --- shapes: time (s, nan where there is none), x, y
-
-
-def _polyline(shape: Element, places: _Places, where: str) -> FloatArray:
-    return _points(shape.findall("Vertex"), places, where)
-
-
-def _points(elements: list[Element], places: _Places, where: str) -> FloatArray:
-    """Return time, x and y of vertices or control points, n × 3."""
-    rows = []
-    for one in elements:
-        time = one.get("time")
-        x, y = places.at(one.find("Position"), where)
-        rows.append((math.nan if time is None else finite_number(time, f"{where}: time of a vertex"), x, y))
-    return np.array(rows, np.float64).reshape(-1, 3)
-
-
-def _nurbs(shape: Element, places: _Places, where: str) -> FloatArray:
-    """Return places along a rational B-spline; its control points' times are a dimension like x and y."""
-    points = _points(shape.findall("ControlPoint"), places, where)
-    weights = np.array(
-        [finite_number(one.get("weight", "1"), f"{where}: weight") for one in shape.findall("ControlPoint")]
-    )
-    knots = np.array([finite_number(one.get("value", ""), f"{where}: knot") for one in shape.findall("Knot")])
-    order = int(finite_number(shape.get("order", ""), f"{where}: order"))
-    if order < 2 or len(points) < order or len(knots) != len(points) + order or (np.diff(knots) < 0.0).any():
-        raise UsageError(
-            f"{where}: follows a NURBS of order {order} with {len(points)} control points and {len(knots)} knots; as "
-            "many points as its order, and knots for both, are needed"
-        )
-    if (weights <= 0.0).any() or knots[order - 1] >= knots[len(points)]:
-        raise UsageError(f"{where}: follows a NURBS with weights or knots that must be above others")
-    spline = BSpline(knots, np.column_stack([points, np.ones(len(points))]) * weights[:, None], order - 1)
-    at = np.linspace(knots[order - 1], knots[len(points)], _SAMPLES + 1)
-    at[-1] = np.nextafter(at[-1], -math.inf)
-    found = spline(at)
-    return np.asarray(found[:, :3] / found[:, 3:])
-
-
-def _clothoid(shape: Element, places: _Places, where: str) -> FloatArray:
-    """Return places along a clothoid, and its times, which pass as its length does."""
-    prime = shape.get("curvaturePrime", shape.get("curvatureDot", ""))
-    bend, change, length = (
-        finite_number(text, f"{where}: {key} of a clothoid")
-        for key, text in (
-            ("curvature", shape.get("curvature", "")),
-            ("curvaturePrime", prime),
-            ("length", shape.get("length", "")),
-        )
-    )
-    position = shape.find("Position")
-    world = None if position is None else position.find("WorldPosition")
-    if world is None:
-        raise UsageError(f"{where}: its clothoid does not begin at a WorldPosition")
-    x, y = places.at(position, where)
-    along = np.linspace(0.0, length, _SAMPLES + 1)
-    heading = finite_number(world.get("h", "0"), f"{where}: h") + bend * along + 0.5 * change * along**2
-    moved = [cumulative_simpson(one(heading), x=along, initial=0.0) for one in (np.cos, np.sin)]
-    begin, end = (_number_or_none(shape.get(key)) for key in ("startTime", "stopTime"))
-    times = np.full(len(along), math.nan)
-    if begin is not None and end is not None:
-        times = begin + (end - begin) * along / length
-    return np.column_stack([times, x + moved[0], y + moved[1]])
-
-
-# --- positions
-
-
-class _Places:
-    """Where positions are in the world."""
-
-    def __init__(self, root: Element, path: Path) -> None:
-        logic = root.find("RoadNetwork/LogicFile")
-        self._map = None if logic is None else path.parent / logic.get("filepath", "").replace("\\", "/")
-
-    def at(self, position: Element | None, where: str) -> tuple[float, float]:
-        """Return x and y of a position, m.
-
-        Raises:
-            UsageError: it is of a kind that is not read, or its road is not.
-        """
-        found = next(iter(position), None) if position is not None else None
-        tag = "none" if found is None else found.tag
-        if found is not None and tag == "WorldPosition":
-            x, y = (finite_number(found.get(key, ""), f"{where}: {key} of a vertex") for key in ("x", "y"))
-            return x, y
-        if found is None or tag not in ("LanePosition", "RoadPosition"):
-            raise UsageError(f"{where}: a vertex is at a {tag}, and read are WorldPosition, LanePosition, RoadPosition")
-        if self._map is None or not is_there(self._map) or not self._map.is_file():
-            file = "no file" if self._map is None else self._map.name
-            raise UsageError(
-                f"{where}: a vertex is at a {tag}, not at a WorldPosition, and its OpenDRIVE is {file} here"
-            )
-        road = _roads(self._map).get(found.get("roadId", ""))
-        if road is None:
-            raise UsageError(
-                f"{where}: a vertex is on road {found.get('roadId')!r}, which {self._map.name} does not have"
-            )
-        s, t, lane, offset = (
-            finite_number(found.get(key, "0"), f"{where}: {key}") for key in ("s", "t", "laneId", "offset")
-        )
-        t = t if tag == "RoadPosition" else _lane_centre(road, s, lane, where) + offset
-        return _on_road(road, s, t, where)
+# --- OpenDRIVE
 
 
 @cache
@@ -276,54 +273,63 @@ def _value(element: Element, key: str) -> float:
     return finite_number(element.get(key, ""), f"OpenDRIVE: {key} of {element.tag}")
 
 
-def _last_before(elements: list[Element], key: str, s: float) -> Element | None:
-    return max(
-        (one for one in elements if _value(one, key) <= s + 1e-9), key=lambda one: _value(one, key), default=None
-    )
+def _last_before(elements: Sequence[Element], s: float, key: str = "s") -> Element | None:
+    before = [one for one in elements if _value(one, key) <= s + 1e-9]
+    return max(before, key=lambda one: _value(one, key), default=None)
 
 
-def _cubic(element: Element | None, key: str, s: float) -> float:
-    if element is None:
-        return 0.0
-    ds = s - _value(element, key)
-    return sum(_value(element, name) * ds**power for power, name in enumerate("abcd"))
+def _cubic(elements: Sequence[Element], s: float, key: str = "s") -> float:
+    """Return the value at s of what is said in pieces of third degree; 0 where nothing is."""
+    piece = _last_before(elements, s, key)
+    return 0.0 if piece is None else float(np.polyval([_value(piece, one) for one in "dcba"], s - _value(piece, key)))
 
 
-def _lane_centre(road: Element, s: float, lane: float, where: str) -> float:
+def _lane_centre(road: Element, s: float, lane: int) -> float:
     """Return the offset of a lane's middle from the reference line, m, to the left."""
-    offset = _cubic(_last_before(road.findall("lanes/laneOffset"), "s", s), "s", s)
-    section = _last_before(road.findall("lanes/laneSection"), "s", s)
-    side = "left" if lane > 0 else "right"
-    lanes = [] if section is None else section.findall(f"{side}/lane")
-    widths = {
-        int(_value(one, "id")): _cubic(
-            _last_before(one.findall("width"), "sOffset", s - _value(section, "s")), "sOffset", s - _value(section, "s")
-        )
-        for one in lanes
-        if section is not None
-    }
-    if lane and int(lane) not in widths:
-        raise UsageError(f"{where}: a vertex is on lane {lane:g} of road {road.get('id')!r}, which it does not have")
+    offset, section = _cubic(road.findall("lanes/laneOffset"), s), _last_before(road.findall("lanes/laneSection"), s)
+    if not lane:
+        return offset
+    lanes = [] if section is None else section.findall(f"{'left' if lane > 0 else 'right'}/lane")
+    begin = 0.0 if section is None else _value(section, "s")
+    widths = {int(_value(one, "id")): _cubic(one.findall("width"), s - begin, "sOffset") for one in lanes}
+    if lane not in widths:
+        raise UsageError(f"it has no lane {lane}")
     inner = sum(width for number, width in widths.items() if abs(number) < abs(lane))
-    return offset + math.copysign(inner + 0.5 * widths[int(lane)], lane) if lane else offset
+    return offset + math.copysign(inner + 0.5 * widths[lane], lane)
 
 
-def _on_road(road: Element, s: float, t: float, where: str) -> tuple[float, float]:
+def _on_road(road: Element, s: float, t: float) -> tuple[float, float]:
     """Return x and y of a place by its path coordinates, m."""
-    piece = _last_before(road.findall("planView/geometry"), "s", s)
+    piece = _last_before(road.findall("planView/geometry"), s)
     shape = None if piece is None or not len(piece) else piece[0]
-    if piece is None or shape is None or shape.tag not in ("line", "arc") or s > _value(road, "length") + 1e-6:
-        kind = "no geometry" if shape is None else f"a {shape.tag}"
-        raise UsageError(f"{where}: a vertex is at {s:g} m of road {road.get('id')!r}, {kind}; read are lines and arcs")
-    x, y, heading, ds = (*(_value(piece, key) for key in ("x", "y", "hdg")), s - _value(piece, "s"))
-    bend = _value(shape, "curvature") if shape.tag == "arc" else 0.0
-    turned = heading + bend * ds
-    if bend:
-        x += (math.sin(turned) - math.sin(heading)) / bend
-        y += (math.cos(heading) - math.cos(turned)) / bend
+    if piece is None or shape is None or s > _value(road, "length") + 1e-6:
+        raise UsageError("it has no geometry there")
+    x, y, heading, length = (_value(piece, key) for key in ("x", "y", "hdg", "length"))
+    ds = s - _value(piece, "s")
+    if shape.tag == "paramPoly3":
+        at = ds if shape.get("pRange") == "arcLength" else ds / length
+        curves = [np.poly1d([_value(shape, f"{one}{axis}") for one in "dcba"]) for axis in "UV"]
+        (u, v), (du, dv) = (one(at) for one in curves), (one.deriv()(at) for one in curves)
+        x, y = x + u * math.cos(heading) - v * math.sin(heading), y + u * math.sin(heading) + v * math.cos(heading)
+        heading += math.atan2(dv, du)
+    elif shape.tag in _CURVATURES:
+        begin, end = (_value(shape, key) if key else 0.0 for key in _CURVATURES[shape.tag])
+        x, y, heading = _spiral(x, y, heading, begin, (end - begin) / length, ds)[-1, :3]
     else:
-        x, y = x + ds * math.cos(heading), y + ds * math.sin(heading)
-    return x - t * math.sin(turned), y + t * math.cos(turned)
+        raise UsageError(f"a {shape.tag}; read are {', '.join(_CURVATURES)}, paramPoly3")
+    return float(x - t * math.sin(heading)), float(y + t * math.cos(heading))
+
+
+_CURVATURES = {"line": ("", ""), "arc": ("curvature", "curvature"), "spiral": ("curvStart", "curvEnd")}
+"""Keys of the curvature (1/m) at both ends of a piece of road; empty: 0."""
+
+
+def _spiral(x: float, y: float, heading: float, bend: float, change: float, length: float) -> FloatArray:
+    """Return places on a line whose curvature (1/m) changes evenly: x, y, heading (rad), length so far, n × 4, m."""
+    along = np.linspace(0.0, length, _SAMPLES + 1)
+    headings = heading + bend * along + 0.5 * change * along**2
+    moved = [length * cumulative_simpson(one(headings), dx=1.0 / _SAMPLES, initial=0.0) for one in (np.cos, np.sin)]
+    return np.column_stack([x + moved[0], y + moved[1], headings, along])
 
 
 # --- parameters
@@ -333,9 +339,11 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Mod: operator.mod, ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: operator.not_,
     ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le,
     ast.Gt: operator.gt, ast.GtE: operator.ge,
+    ast.And: lambda *values: all(values), ast.Or: lambda *values: any(values),
 }  # fmt: skip
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "round": round, "floor": math.floor, "ceil": math.ceil, "sqrt": math.sqrt, "pow": math.pow,
+_NAMES: dict[str, Any] = {
+    "round": round, "floor": math.floor, "ceil": math.ceil, "sqrt": math.sqrt, "pow": math.pow, "abs": abs, "min": min,
+    "max": max, "pi": math.pi, "true": True, "false": False,
 }  # fmt: skip
 
 
@@ -357,36 +365,32 @@ def _put_in_parameters(root: Element) -> None:
 
 def _filled_in(text: str, declared: dict[str, str]) -> str:
     text = text.strip()
-    if text.startswith("${") and text.endswith("}"):
-        try:
-            value = _computed(ast.parse(_names_out(text[2:-1], declared), mode="eval").body)
-        except (SyntaxError, ValueError, TypeError, ArithmeticError, KeyError, AttributeError, RecursionError):
-            return text
-        return str(value).lower() if isinstance(value, bool) else value if isinstance(value, str) else repr(value)
-    return declared.get(text[1:], text) if text.startswith("$") else text
-
-
-def _names_out(text: str, declared: dict[str, str]) -> str:
-    """Return an expression in which parameters are values; the longest names first."""
-    for name in sorted(declared, key=len, reverse=True):
+    if not (text.startswith("${") and text.endswith("}")):
+        return declared.get(text[1:], text) if text.startswith("$") else text
+    inner = text[2:-1]
+    for name in sorted(declared, key=len, reverse=True):  # the longest first
         value = declared[name]
-        text = text.replace(f"${name}", f"({value})" if _number_or_none(value) is not None else repr(value))
-    return text.replace("true", "True").replace("false", "False")
+        inner = inner.replace(f"${name}", f"({value})" if _number_or_none(value) is not None else repr(value))
+    try:
+        found = _computed(ast.parse(inner.strip(), mode="eval").body)
+    except (SyntaxError, ValueError, TypeError, ArithmeticError, LookupError, AttributeError, RecursionError):
+        return text
+    return str(found).lower() if isinstance(found, bool) else found if isinstance(found, str) else repr(found)
 
 
-def _computed(node: ast.expr) -> Any:
+def _computed(node: ast.AST) -> Any:
     """Return the value of an expression of numbers, by the operators and functions of the standard."""
-    if isinstance(node, ast.Constant):
-        return node.value
-    if isinstance(node, ast.UnaryOp):
-        return _OPERATORS[type(node.op)](_computed(node.operand))
-    if isinstance(node, ast.BinOp):
-        return _OPERATORS[type(node.op)](_computed(node.left), _computed(node.right))
-    if isinstance(node, ast.BoolOp):
-        values = [bool(_computed(one)) for one in node.values]
-        return all(values) if isinstance(node.op, ast.And) else any(values)
-    if isinstance(node, ast.Compare):
-        return _OPERATORS[type(node.ops[0])](_computed(node.left), _computed(node.comparators[0]))
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        return _FUNCTIONS[node.func.id](*map(_computed, node.args))
+    match node:
+        case ast.Constant(value=value):
+            return value
+        case ast.Name(id=name):
+            return _NAMES[name]
+        case ast.UnaryOp(op=op, operand=one):
+            return _OPERATORS[type(op)](_computed(one))
+        case ast.BinOp(op=op, left=left, right=right) | ast.Compare(ops=[op], left=left, comparators=[right]):
+            return _OPERATORS[type(op)](_computed(left), _computed(right))
+        case ast.BoolOp(op=op, values=values):
+            return _OPERATORS[type(op)](*map(_computed, values))
+        case ast.Call(func=ast.Name(id=name), args=values, keywords=[]):
+            return _NAMES[name](*map(_computed, values))
     raise ValueError(ast.dump(node))
