@@ -7,14 +7,15 @@ and `/detections:42` the object of a Detection3DArray with this id. Times are th
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from skd_adversary.safe_trajectories.recordings import csv_rows, header_of
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
@@ -22,7 +23,7 @@ from skd_sim.ros.from_messages import from_stamp
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.messages import Condition, Received, read_messages, shortened
-from skd_evaluator.bags.transforms import SECOND, At, Poses, Transforms, bare, zigzag
+from skd_evaluator.bags.transforms import SECOND, At, Transforms, bare, zigzag
 
 TABLE_CAR, TABLE_OTHER = "car", "other"
 """Ids of car and road user in a table, unless said otherwise."""
@@ -185,6 +186,17 @@ class Track:
         return replace(self, places=np.column_stack([cos * x + sin * y, cos * y - sin * x]), headings=headings)
 
 
+def one_frame(path: Path, *tracks: Track) -> None:
+    """Refuse tracks that are in two frames."""
+    first = tracks[0]
+    for other in tracks[1:]:
+        if other.frame != first.frame:
+            raise UsageError(
+                f"{path}: {first.name} is in frame {first.frame!r} and {other.name} in {other.frame!r}; give "
+                "--map-frame, if /tf was recorded, or record both in one"
+            )
+
+
 def listed(names: Collection[str]) -> str:
     """Return names in a few words."""
     shown = ", ".join(repr(" ".join(one.split())[:40]) for one in list(names)[:_FEW])
@@ -234,6 +246,31 @@ class Listed(NamedTuple):
         }
 
 
+def track_or_why(
+    where: str,
+    name: str,
+    form: str,
+    read: Callable[..., Track],
+    *arguments: Any,
+    times: Sequence[float] | FloatArray = (),
+) -> Track | Listed:
+    """Return what `read` returns for some arguments, or why that is no track.
+
+    Args:
+        where: file and name, with which messages begin.
+        name: of the object.
+        form: how the file says where it is.
+        read: raises a UsageError where there is none.
+        arguments: of it.
+        times: of its positions, as far as they are known, s.
+    """
+    try:
+        return read(*arguments)
+    except UsageError as error:
+        why = str(error).removeprefix(where).removeprefix(": ")
+        return Listed(name, form, len(times), np.array(times, np.float64), why=why)
+
+
 GAP = 1.5
 """Times the usual step, from which on a step is a gap."""
 
@@ -252,27 +289,6 @@ class _Row(NamedTuple):
     z: float
     heading: float
     speed: float
-
-
-@dataclass
-class _Bag:
-    """What was read of a recording.
-
-    Attributes:
-        where: the recording, for messages.
-        rows: of each topic the rows of each object, by id.
-        trees: the transforms of each topic of such.
-        unnamed: topics with ids that several objects of one message have.
-        topics: the type of each topic.
-        counts: how many messages each topic has.
-    """
-
-    where: str
-    rows: dict[str, dict[str, list[_Row]]] = field(default_factory=dict)
-    trees: dict[str, Transforms] = field(default_factory=dict)
-    unnamed: set[tuple[str, str]] = field(default_factory=set)
-    topics: dict[str, str] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
 
 
 def bag_tracks(
@@ -298,37 +314,20 @@ def bag_tracks(
         UsageError: it cannot be read, lacks one of them, does not say how frames lie or when it was, or its clock goes
             back.
     """
-    damage = damage or Damage()
     topics = {name.partition(":")[0] for name in names} | ({tf} if map_frame is not None else set())
     requested = topics | {f"{topic}_static" for topic in topics}
-    bag = _read(files, requested.__contains__, longest_gap, damage)
-    found: dict[str, tuple[list[_Row], str]] = {}
-    for name in names:
-        topic, _, id_ = name.partition(":")
-        kind, ids = bag.topics.get(topic), bag.rows.get(topic, {})
-        if topic in bag.trees or kind == _TRANSFORMS:
-            found[name] = _rows_of_frame(bag, topic, id_, map_frame)
-        elif id_ in ids:
-            found[name] = _clean(bag, name, ids[id_], map_frame, tf, damage)
-        elif ids:
-            known = ", ".join(map(shortened, list(ids)[:_FEW]))
-            raise UsageError(f"{bag.where}: {topic} has several objects; it has {known}: name one as {topic}:ID")
-        elif kind is not None and kind not in _READ:
-            raise UsageError(f"{bag.where}: {topic} has type {shortened(kind)}; it must be one of {', '.join(_READ)}")
-        else:
-            faults = [line for line in damage.left_out if line.startswith(tuple(map(str, files)))]
-            if faults:
-                raise UsageError(f"{faults[-1]}: nothing of {topic}")
-            readable = [one for one, kind in bag.topics.items() if kind in (*_READ, _TRANSFORMS)]
-            some = f"it has {listed(readable)}: name them by --car and --road-user"
-            none = f"none of its {len(bag.topics)} topics is of a type that is read: {', '.join(_READ)}"
-            raise UsageError(f"{bag.where}: has no message on {topic}; {some if readable else none}")
-    if len({how for _, how in found.values()}) > 1:
+    bag = _Bag(files, requested.__contains__, longest_gap, damage or Damage())
+    within = None if map_frame is None else bare(map_frame)
+    found = {name: bag.rows_of(name, within, tf) for name in names}
+    if len({by_stamps for _, by_stamps in found.values()}) > 1:
         raise UsageError(
-            f"{bag.where}: some of {', '.join(names)} have no stamps, so nothing says when both were where"
+            f"{bag.where}: some of {', '.join(names)} have no stamps, so it is unknown when both were where"
         )
     origin = min(rows[0].stamp for rows, _ in found.values())
-    return {name: _track(bag, name, rows, origin, map_frame, tf, how, damage) for name, (rows, how) in found.items()}
+    return {
+        name: bag.track(name, rows, origin, within, tf, by_stamps=by_stamps)
+        for name, (rows, by_stamps) in found.items()
+    }
 
 
 def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] = ()) -> list[Listed]:
@@ -339,66 +338,225 @@ def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] =
         damage: takes note of what is left out.
         topics: only these; empty: all.
     """
-    bag = _read(files, lambda topic: not topics or topic in topics, LONGEST_GAP, damage, readable=True)
+    bag = _Bag(files, lambda topic: not topics or topic in topics, LONGEST_GAP, damage)
     found = []
     for topic, ids in bag.rows.items():
         for id_, rows in ids.items():
-            frames = ", ".join(dict.fromkeys(one.frame for one in rows))
-            times = np.array(sorted({one.stamp for one in rows}), np.float64) / SECOND
-            why = ""
+            times, why = np.array(sorted({one.stamp for one in rows}), np.float64) / SECOND, ""
             if (topic, id_) in bag.unnamed:
                 why = "several objects of one message have this id"
-            elif times[0] == 0.0 and len(times) < len(rows):
-                why = f"{sum(one.stamp == 0 for one in rows)} of {len(rows)} stamps are 0"
             elif len(times) < len(rows):
-                why = f"{len(rows) - len(times)} of {len(rows)} stamps are there more than once"
-            name = f"{topic}:{id_}" if id_ else topic
-            found.append(Listed(name, bag.topics[topic], len(rows), times, frames, why))
+                unset = sum(one.stamp == 0 for one in rows)
+                count, what = (unset, "0") if unset > 1 else (len(rows) - len(times), "there more than once")
+                why = f"{count} of {len(rows)} stamps are {what}"
+            frames = ", ".join(dict.fromkeys(one.frame for one in rows))
+            found.append(Listed(_named(topic, id_), bag.topics[topic], len(rows), times, frames, why))
     for topic, tree in bag.trees.items():
         for child, parents, moves, times in tree.summary():
             form = "a moving frame" if moves else "a fixed frame"
             found.append(Listed(f"{topic}:{child}", form, len(times), times if moves else times[:0], parents))
     for topic, kind in sorted(bag.topics.items()):
         if kind not in (*_READ, _TRANSFORMS) and (not topics or topic in topics):
-            found.append(Listed(topic, kind, bag.counts.get(topic, 0), np.zeros(0), why="of a type that is not read"))
+            found.append(Listed(topic, kind, bag.counts[topic], np.zeros(0), why="of a type that is not read"))
     return found
 
 
-def _read(files: Sequence[Path], requested: Any, longest_gap: float, damage: Damage, *, readable: bool = False) -> _Bag:
-    """Return what is on requested topics, of types that are not read only where they are not to be left out."""
-    bag = _Bag(str(files[0] if len(files) == 1 else files[0].parent))
-    for file in files:
-        condition = Condition()
-        for received in read_messages(file, requested, condition):
-            topic, kind = received.topic, received.type
-            if kind not in (*_READ, _TRANSFORMS):
-                continue
-            try:
-                message = received.decoded()
-            except UsageError as error:
-                if isinstance(error.__cause__, Exception) or readable:
-                    damage.leave_out(f"{file}: {error}")
+def _named(topic: str, id_: str) -> str:
+    return f"{topic}:{id_}" if id_ else topic
+
+
+class _Bag:
+    """What was read of a recording.
+
+    Attributes:
+        where: the recording, for messages.
+        rows: of each topic the rows of each object, by id.
+        trees: the transforms of each topic of such.
+        unnamed: topics with ids that several objects of one message have.
+        topics: the type of each topic.
+        counts: how many messages each topic has.
+    """
+
+    def __init__(
+        self, files: Sequence[Path], requested: Callable[[str], bool], longest_gap: float, damage: Damage
+    ) -> None:
+        """Read what is on requested topics; what cannot be read is left out."""
+        self.where = str(files[0] if len(files) == 1 else files[0].parent)
+        self.rows: dict[str, dict[str, list[_Row]]] = {}
+        self.trees: dict[str, Transforms] = {}
+        self.unnamed: set[tuple[str, str]] = set()
+        self.topics: dict[str, str] = {}
+        self.counts: Counter[str] = Counter()
+        self._longest_gap, self._damage, self._files = longest_gap, damage, files
+        for file in files:
+            condition = Condition()
+            for received in read_messages(file, requested, condition):
+                if received.type not in (*_READ, _TRANSFORMS):
                     continue
-                raise UsageError(f"{file}: {error}") from error
-            if kind == _TRANSFORMS:
-                tree = bag.trees.setdefault(topic.removesuffix("_static"), Transforms(bag.where, longest_gap))
-                _add_transforms(tree, message, received, fixed=topic.endswith("_static"))
-                continue
-            ids = bag.rows.setdefault(topic, {})
-            seen: set[str] = set()
-            for id_, row in _objects(received, message):
-                if id_ in seen:
-                    bag.unnamed.add((topic, id_))
-                seen.add(id_)
-                ids.setdefault(id_, []).append(row)
-        if condition.refuted:
-            raise UsageError(f"{file}: {condition.damage[-1]}, and it has no other: leave the file out")
-        for what in condition.damage:
-            damage.leave_out(f"{file}: {what}; what is whole of it is read")
-        bag.topics.update(condition.topics)
-        for topic, count in condition.counts.items():
-            bag.counts[topic] = bag.counts.get(topic, 0) + count
-    return bag
+                try:
+                    self._add(received, received.decoded())
+                except UsageError as error:
+                    damage.leave_out(f"{file}: {error}")
+            if condition.refuted:
+                raise UsageError(f"{file}: {condition.damage[-1]}, and it has no other: leave the file out")
+            for what in condition.damage:
+                damage.leave_out(f"{file}: {what}; what is whole of it is read")
+            self.topics.update(condition.topics)
+            self.counts.update(condition.counts)
+
+    def _add(self, received: Received, message: Any) -> None:
+        topic = received.topic
+        if received.type == _TRANSFORMS:
+            name = topic.removesuffix("_static")
+            tree = self.trees.setdefault(name, Transforms(self.where, self._longest_gap))
+            for one in message.transforms:
+                p, q = one.transform.translation, one.transform.rotation
+                place = tuple(map(float, (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+                frames = str(one.header.frame_id), str(one.child_frame_id)
+                tree.add(*frames, from_stamp(one.header.stamp), received.logged, place, fixed=topic != name)
+            return
+        ids = self.rows.setdefault(topic, {})
+        seen: set[str] = set()
+        for id_, row in _objects(received, message):
+            if id_ in seen:
+                self.unnamed.add((topic, id_))
+            seen.add(id_)
+            ids.setdefault(id_, []).append(row)
+
+    def rows_of(self, name: str, map_frame: str | None, tf: str) -> tuple[list[_Row], bool]:
+        """Return the rows of an object or a frame by their times, and whether these are stamps.
+
+        Raises:
+            UsageError: there is none, or they are of no use.
+        """
+        topic, _, id_ = name.partition(":")
+        kind, ids = self.topics.get(topic), self.rows.get(topic, {})
+        if topic in self.trees or kind == _TRANSFORMS:
+            return self._rows_of_frame(topic, bare(id_), map_frame), True
+        if id_ in ids:
+            return self._clean(topic, id_, map_frame)
+        if ids:
+            known = ", ".join(map(shortened, list(ids)[:_FEW]))
+            raise UsageError(f"{self.where}: {topic} has several objects; it has {known}: name one as {topic}:ID")
+        if kind is not None and kind not in _READ:
+            raise UsageError(f"{self.where}: {topic} has type {shortened(kind)}; it must be one of {', '.join(_READ)}")
+        if faults := [line for line in self._damage.left_out if line.startswith(tuple(map(str, self._files)))]:
+            raise UsageError(f"{faults[-1]}: nothing of {topic}")
+        readable = [one for one, kind in self.topics.items() if kind in (*_READ, _TRANSFORMS)]
+        some = f"it has {listed(readable)}: name them by --car and --road-user"
+        none = f"none of its {len(self.topics)} topics is of a type that is read: {', '.join(_READ)}"
+        raise UsageError(f"{self.where}: has no message on {topic}; {some if readable else none}")
+
+    def _rows_of_frame(self, topic: str, frame: str, map_frame: str | None) -> list[_Row]:
+        """Return when a frame is said to lie somewhere, at its own origin."""
+        tree = self.trees.get(topic)
+        if tree is None or frame not in tree.frames:
+            some = listed(tree.frames) if tree else "no frame"
+            raise UsageError(f"{self.where}: {topic} has no frame {frame!r} but {some}; name it as {topic}:FRAME")
+        at = tree.times(frame, tree.root(frame) if map_frame is None else self._known(topic, map_frame))
+        times = zip(at.stamps.tolist(), at.logged.tolist(), strict=True)
+        return [_Row(logged, stamp, frame, 0.0, 0.0, 0.0, 0.0, math.nan) for stamp, logged in times]
+
+    def _known(self, tf: str, frame: str) -> str:
+        """Return a frame, if the transforms on a topic have it."""
+        tree = self.trees.get(tf)
+        if tree is not None and frame in tree.frames:
+            return frame
+        others = [one for one, kind in self.topics.items() if kind == _TRANSFORMS and one.removesuffix("_static") != tf]
+        some = listed(tree.frames) if tree else "no frame"
+        more = f"; transforms are on {listed(others)}, too: name one by --tf-topic" if others else ""
+        raise UsageError(
+            f"{self.where}: --map-frame {frame}: {tf} and {tf}_static do not know it; they have {some}{more}"
+        )
+
+    def _clean(self, topic: str, id_: str, map_frame: str | None) -> tuple[list[_Row], bool]:
+        """Return the rows of an object by their times, without those of no use, and whether these are stamps."""
+        where, damage = f"{self.where}: {topic}", self._damage
+        if (topic, id_) in self.unnamed:
+            raise UsageError(f"{where}: several objects of one message have the id {id_!r}: which is which is unknown")
+        rows = sorted(self.rows[topic][id_], key=lambda one: one.logged)
+        count, unset = len(rows), [index for index, one in enumerate(rows) if one.stamp <= 0]
+        by_stamps = len(unset) < count
+        if not by_stamps:
+            if map_frame is not None and {one.frame for one in rows} != {map_frame}:
+                raise UsageError(
+                    f"{where}: the stamps of all {count} messages are 0, so nothing says how frames lay then"
+                )
+            damage.warn(
+                f"{where}: the stamps of {count} of {count} messages are 0 (not filled in): {_RECORDER} are taken"
+            )
+            rows = [one._replace(stamp=one.logged) for one in rows]
+        elif len(unset) > 1 or (unset and unset[0] > 0) or (unset and count > 2 and rows[1].stamp > _LATE):
+            said = f"the stamps of {len(unset)} of {count} messages are 0 (before the clock began): left out"
+            damage.warn(f"{where}: {said}")
+            rows = [one for one in rows if one.stamp > 0]
+        for before, after in pairwise(rows):
+            if after.stamp < before.stamp - _LATE:
+                back = f"from {before.stamp / SECOND:.2f} to {after.stamp / SECOND:.2f} s"
+                raise UsageError(f"{where}: the clock goes back {back}: is it of several drives? Cut it to one")
+        usable = [one for one in rows if all(map(math.isfinite, one[3:6]))]
+        if len(usable) < len(rows):
+            first = min(one.stamp for one in rows if not all(map(math.isfinite, one[3:6]))) / SECOND
+            said = (
+                f"{len(rows) - len(usable)} of {count} positions are no numbers (the first at {first:.2f} s): left out"
+            )
+            damage.warn(f"{where}: {said}")
+        by_stamp: dict[int, _Row] = {}
+        twice: list[tuple[float, int]] = []
+        for one in usable:
+            same = by_stamp.setdefault(one.stamp, one)
+            if (apart := math.dist(same[3:6], one[3:6])) > _SAME or same.frame != one.frame:
+                twice.append((apart, one.stamp))
+        if twice:
+            apart, stamp = twice[0]
+            raise UsageError(
+                f"{where}: the stamp {stamp / SECOND:.2f} s is there twice, with places {apart:.3g} m apart "
+                f"({len(twice)} of {count} messages repeat one): a clock slower than the messages, or two publishers"
+            )
+        if not by_stamp:
+            raise UsageError(f"{where}: nothing that can be used is left of {count} messages")
+        return [by_stamp[stamp] for stamp in sorted(by_stamp)], by_stamps
+
+    def track(
+        self, name: str, rows: Sequence[_Row], origin: int, map_frame: str | None, tf: str, *, by_stamps: bool
+    ) -> Track:
+        """Return the track of rows by their times (ns, from `origin` on), in the frame in which it is requested."""
+        topic, where = name.partition(":")[0], f"{self.where}, {name}"
+        is_frame = topic in self.trees and topic not in self.rows
+        frames, by = list(dict.fromkeys(one.frame for one in rows)), topic if is_frame else tf
+        if map_frame is not None:
+            within = map_frame if frames == [map_frame] else self._known(by, map_frame)
+        elif len(frames) > 1:
+            raise UsageError(f"{self.where}: {topic} is in two frames, {frames[0]!r} and {frames[1]!r}")
+        else:
+            within = self.trees[topic].root(frames[0]) if is_frame else frames[0]
+        stamps, logged = np.array([(one.stamp, one.logged) for one in rows], np.int64).T
+        table = np.array([one[3:] for one in rows], np.float64)
+        known, notes = np.ones(len(rows), bool), list[str]()
+        for frame in frames:
+            if frame != within:
+                chosen = np.flatnonzero([one.frame == frame for one in rows])
+                at = At(stamps[chosen], logged[chosen])
+                table[chosen, :4], known[chosen], said = self.trees[by].moved(table[chosen, :4], frame, within, at)
+                notes += said
+        for note in notes:
+            self._damage.warn(f"{where}: {note}")
+        lost = int((~known).sum())
+        if known.sum() < 2:
+            why = "; ".join(notes) or f"nothing says how {frames[0]!r} lies in {within!r}"
+            raise UsageError(f"{where}: no place of it is known in {within!r}: {why}")
+        if lost:
+            notes.append(f"{lost} of {len(rows)} positions left out for it")
+            self._damage.warn(f"{where}: {notes[-1]}")
+        form = "transforms" if is_frame else self.topics[topic] + ("" if by_stamps else f", {_RECORDER}")
+        times, (x, y, _, headings, speeds) = (stamps[known] - origin) / SECOND, table[known].T
+        return Track(
+            times, np.column_stack([x, y]), where, _complete(headings), _complete(speeds), name, frame=within,
+            origin=origin / SECOND, form=form, notes=tuple(notes),
+        )  # fmt: skip
+
+
+_RECORDER = "the recorder's times"
 
 
 def _objects(received: Received, message: Any) -> Iterator[tuple[str, _Row]]:
@@ -428,137 +586,6 @@ def _row(received: Received, headers: Sequence[Any], pose: Any, speed: float = m
     stamp = next((at for one in headers if (at := from_stamp(one.stamp))), 0)
     frame = next((name for one in headers if (name := bare(str(one.frame_id)))), "")
     return _Row(received.logged, stamp, frame, float(p.x), float(p.y), float(p.z), heading, float(speed))
-
-
-def _add_transforms(transforms: Transforms, message: Any, received: Received, *, fixed: bool) -> None:
-    for one in message.transforms:
-        p, q = one.transform.translation, one.transform.rotation
-        row = tuple(map(float, (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
-        stamp = from_stamp(one.header.stamp)
-        transforms.add(str(one.header.frame_id), str(one.child_frame_id), stamp, received.logged, row, fixed=fixed)
-
-
-_STAMPS, _RECORDER = "stamps", "the recorder's times"
-
-
-def _rows_of_frame(bag: _Bag, topic: str, frame: str, map_frame: str | None) -> tuple[list[_Row], str]:
-    """Return when a frame is said to lie somewhere, at its own origin, and by which clock."""
-    tree, frame = bag.trees.get(topic), bare(frame)
-    if tree is None or frame not in tree.frames:
-        some = listed(tree.frames) if tree else "no frame"
-        raise UsageError(f"{bag.where}: {topic} has no frame {frame!r} but {some}; name it as {topic}:FRAME")
-    at = tree.times(frame, tree.root(frame) if map_frame is None else _known(bag, topic, map_frame))
-    times = zip(at.stamps.tolist(), at.logged.tolist(), strict=True)
-    return [_Row(logged, stamp, frame, 0.0, 0.0, 0.0, 0.0, math.nan) for stamp, logged in times], _STAMPS
-
-
-def _known(bag: _Bag, tf: str, frame: str) -> str:
-    """Return a frame of the transforms on a topic."""
-    tree, frame = bag.trees.get(tf), bare(frame)
-    if tree is not None and frame in tree.frames:
-        return frame
-    others = [one for one, kind in bag.topics.items() if kind == _TRANSFORMS and one.removesuffix("_static") != tf]
-    some = listed(tree.frames) if tree else "no frame"
-    more = f"; transforms are on {listed(others)}, too: name one by --tf-topic" if others else ""
-    raise UsageError(f"{bag.where}: --map-frame {frame}: {tf} and {tf}_static do not know it; they have {some}{more}")
-
-
-def _clean(
-    bag: _Bag, name: str, rows: Sequence[_Row], map_frame: str | None, tf: str, damage: Damage
-) -> tuple[list[_Row], str]:
-    """Return the rows of an object by their times, without those of no use, and by which clock they are."""
-    topic, _, id_ = name.partition(":")
-    where, count = f"{bag.where}: {topic}", len(rows)
-    if (topic, id_) in bag.unnamed:
-        raise UsageError(f"{where}: several objects of one message have the id {id_!r}: nobody can tell them apart")
-    rows, how = sorted(rows, key=lambda one: one.logged), _STAMPS
-    unset = [index for index, one in enumerate(rows) if one.stamp <= 0]
-    if len(unset) == count:
-        if map_frame is not None and {one.frame for one in rows} != {bare(map_frame)}:
-            raise UsageError(f"{where}: the stamps of all {count} messages are 0, so nothing says how frames lay then")
-        damage.warn(f"{where}: the stamps of {count} of {count} messages are 0 (not filled in): {_RECORDER} are taken")
-        rows, how = [one._replace(stamp=one.logged) for one in rows], _RECORDER
-    elif len(unset) > 1 or (unset and unset[0] > 0) or (unset and count > 2 and rows[1].stamp > _LATE):
-        damage.warn(f"{where}: the stamps of {len(unset)} of {count} messages are 0 (before the clock began): left out")
-        rows = [one for one in rows if one.stamp > 0]
-    back = next((pair for pair in pairwise(rows) if pair[1].stamp < pair[0].stamp - _LATE), None)
-    if back is not None:
-        before, after = (one.stamp / SECOND for one in back)
-        raise UsageError(
-            f"{where}: the clock goes back from {before:.2f} to {after:.2f} s: is it of several drives? Cut it to one"
-        )
-    wrong = [one for one in rows if not all(map(math.isfinite, one[3:6]))]
-    if wrong:
-        first = min(one.stamp for one in wrong) / SECOND
-        damage.warn(f"{where}: {len(wrong)} of {count} positions are no numbers (the first at {first:.2f} s): left out")
-        rows = [one for one in rows if all(map(math.isfinite, one[3:6]))]
-    by_stamp: dict[int, _Row] = {}
-    twice: list[tuple[float, int]] = []
-    for one in rows:
-        same = by_stamp.setdefault(one.stamp, one)
-        if (apart := math.dist(same[3:6], one[3:6])) > _SAME or same.frame != one.frame:
-            twice.append((apart, one.stamp))
-    if twice:
-        raise UsageError(
-            f"{where}: the stamp {twice[0][1] / SECOND:.2f} s is there twice, with places {twice[0][0]:.3g} m apart "
-            f"({len(twice)} of {count} messages repeat one): a clock slower than the messages, or two publishers"
-        )
-    if not by_stamp:
-        raise UsageError(f"{where}: nothing that can be used is left of {count} messages")
-    return [by_stamp[stamp] for stamp in sorted(by_stamp)], how
-
-
-def _track(
-    bag: _Bag, name: str, rows: Sequence[_Row], origin: int, map_frame: str | None, tf: str, how: str, damage: Damage
-) -> Track:
-    """Return the track of rows by their times, in the frame in which they are requested."""
-    topic = name.partition(":")[0]
-    is_frame = topic in bag.trees and topic not in bag.rows
-    frames = list(dict.fromkeys(one.frame for one in rows))
-    if map_frame is not None:
-        within = _known(bag, topic if is_frame else tf, map_frame) if frames != [bare(map_frame)] else bare(map_frame)
-    else:
-        within = bag.trees[topic].root(frames[0]) if is_frame else frames[0]
-        if len(frames) > 1:
-            raise UsageError(f"{bag.where}: {topic} is in two frames, {frames[0]!r} and {frames[1]!r}")
-    stamps = np.array([one.stamp for one in rows], np.int64)
-    table = np.array([one[3:] for one in rows], np.float64)
-    places, headings, speeds = table[:, :3], table[:, 3], table[:, 4]
-    known, notes = np.ones(len(rows), bool), list[str]()
-    for frame in frames:
-        if frame == within:
-            continue
-        tree = bag.trees[topic if is_frame else tf]
-        chosen = np.flatnonzero([one.frame == frame for one in rows])
-        at = At(stamps[chosen], np.array([rows[index].logged for index in chosen.tolist()], np.int64))
-        tree.notes.clear()
-        poses, at_all = tree.poses(frame, within, at)
-        turns = Rotation.from_rotvec(np.outer(np.nan_to_num(headings[chosen]), [0.0, 0.0, 1.0]))
-        found = poses.on(Poses(places[chosen], turns))
-        headings[chosen] = np.where(np.isnan(headings[chosen]), np.nan, found.headings)
-        places[chosen], known[chosen] = found.places, at_all
-        notes += tree.notes
-    for note in notes:
-        damage.warn(f"{bag.where}, {name}: {note}")
-    lost = int((~known).sum())
-    if known.sum() < 2:
-        why = "; ".join(notes) or f"nothing says how {frames[0]!r} lies in {within!r}"
-        raise UsageError(f"{bag.where}, {name}: no place of it is known in {within!r}: {why}")
-    if lost:
-        notes.append(f"{lost} of {len(rows)} positions left out for it")
-        damage.warn(f"{bag.where}, {name}: {notes[-1]}")
-    return Track(
-        (stamps[known] - origin) / SECOND,
-        places[known, :2],
-        f"{bag.where}, {name}",
-        _complete(headings[known]),
-        _complete(speeds[known]),
-        name,
-        frame=within,
-        origin=origin / SECOND,
-        form="transforms" if is_frame else f"{bag.topics[topic]}" + (f", {how}" if how != _STAMPS else ""),
-        notes=tuple(notes),
-    )
 
 
 def _complete(values: FloatArray) -> FloatArray | None:
@@ -591,14 +618,10 @@ def table_tracks(path: Path, names: Collection[str] = ()) -> dict[str, Track | L
     found: dict[str, Track | Listed] = {}
     for name in names or rows:
         table = np.array(sorted(rows[name]), np.float64)
-        said = {key: _complete(table[:, 3 + place]) for place, key in enumerate(further)}
-        where = f"{path}, {name}"
-        try:
-            found[name] = Track(
-                table[:, 0], table[:, 1:3], where, said.get("heading"), said.get("speed"), name, form="t, id, x, y"
-            )
-        except UsageError as error:
-            if name in names:
-                raise
-            found[name] = Listed(name, "t, id, x, y", len(table), table[:, 0], why=str(error).removeprefix(where)[2:])
+        given = {key: _complete(table[:, 3 + place]) for place, key in enumerate(further)}
+        heading, speed = (given.get(key) for key in _FURTHER)
+        read = partial(Track, table[:, 0], table[:, 1:3], f"{path}, {name}", heading, speed, name, form="t, id, x, y")
+        found[name] = (
+            read() if name in names else track_or_why(f"{path}, {name}", name, "t, id, x, y", read, times=table[:, 0])
+        )
     return found

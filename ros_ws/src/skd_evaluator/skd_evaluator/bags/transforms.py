@@ -81,11 +81,7 @@ class _Samples:
 
 
 class Transforms:
-    """Frames with their parents; filled message by message.
-
-    Attributes:
-        notes: what is to be said of the transforms that were used, in the order found.
-    """
+    """Frames with their parents; filled message by message."""
 
     def __init__(self, where: str, longest_gap: float) -> None:
         """Begin without any frame.
@@ -94,7 +90,7 @@ class Transforms:
             where: the recording, for messages.
             longest_gap: time between two samples, s, beyond which nothing is said between them.
         """
-        self.notes: dict[str, None] = {}
+        self._notes: dict[str, None] = {}
         self._where, self._longest = where, round(SECOND * longest_gap)
         self._samples: dict[str, _Samples] = {}
 
@@ -148,16 +144,26 @@ class Transforms:
                     return At(stamps, np.array([found[stamp] for stamp in stamps.tolist()], np.int64))
         raise UsageError(f"{self._where}: frame {frame!r} does not move in {within!r}: all between them is fixed")
 
-    def poses(self, frame: str, within: str, at: At) -> tuple[Poses, BoolArray]:
-        """Return where a frame lies in another at some times, and at which of them that is known.
+    def moved(self, rows: FloatArray, frame: str, within: str, at: At) -> tuple[FloatArray, BoolArray, list[str]]:
+        """Return places that are said in one frame in another, where that is known, and what is to be said of it.
+
+        Args:
+            rows: n × 4, x, y, z (m) and heading (rad; nan: none).
+            frame: in which they are.
+            within: in which they are requested.
+            at: when they are there.
 
         Raises:
             UsageError: nothing joins the two, or what joins them is said in two ways.
         """
+        self._notes.clear()
         common = self._common(frame, within)
         below, known = self._up(frame, common, at)
         above, also = self._up(within, common, at)
-        return above.inverse.on(below), known & also
+        turns = Rotation.from_rotvec(np.outer(np.nan_to_num(rows[:, 3]), [0.0, 0.0, 1.0]))
+        found = above.inverse.on(below).on(Poses(rows[:, :3], turns))
+        headings = np.where(np.isnan(rows[:, 3]), np.nan, found.headings)
+        return np.column_stack([found.places, headings]), known & also, list(self._notes)
 
     def _above(self, frame: str) -> list[str]:
         """Return a frame and those above it, nearest first."""
@@ -193,7 +199,7 @@ class Transforms:
         """Return at which times (as indices) a frame is known to lie in a parent, and where it lies then."""
         said = self._samples[frame]
         if said.dropped:
-            self.notes[f"{said.dropped} transforms of {frame!r} are no finite numbers or no turns: left out"] = None
+            self._notes[f"{said.dropped} transforms of {frame!r} are no finite numbers or no turns: left out"] = None
         if said.fixed:
             return self._fixed(frame, parent, at)
         by_stamp = {one[0]: one for one in sorted(said.moving, key=lambda each: each[1])}
@@ -235,7 +241,7 @@ class Transforms:
             spans.append((stamps[-1], outside[-1]))
         for begin, end in spans:
             span = f"from {begin / SECOND:.2f} to {end / SECOND:.2f} s"
-            self.notes[f"nothing says how {frame!r} lies in {parent!r} {span}"] = None
+            self._notes[f"nothing says how {frame!r} lies in {parent!r} {span}"] = None
 
     def _fixed(self, frame: str, parent: str, at: At) -> tuple[IntArray, Poses]:
         """Return the same of a fixed frame: as it was last said to lie when that was recorded, from the first on."""
@@ -246,7 +252,7 @@ class Transforms:
             raise UsageError(f"{self._where}: frame {frame!r} is said to be fixed (/tf_static) and to move (/tf)")
         worst = max(samples, key=lambda one: _apart(one[3], samples[0][3]))
         if (apart := _apart(worst[3], samples[0][3])) > _SAME:
-            self.notes[
+            self._notes[
                 f"fixed frame {frame!r} is said to lie in two ways in {parent!r}, {apart:.3g} m or rad apart (the "
                 f"second at {worst[1] / SECOND:.2f} s by the recorder): each counts from when it was said"
             ] = None

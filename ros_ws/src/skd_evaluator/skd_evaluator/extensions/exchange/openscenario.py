@@ -24,7 +24,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, is_there, read_xml
 
-from skd_evaluator.bags.tracks import Listed, Track
+from skd_evaluator.bags.tracks import Listed, Track, track_or_why
 
 OPENSCENARIO = "OpenSCENARIO"
 STANDS = "no action"
@@ -51,14 +51,12 @@ def read_openscenario(root: Element, path: Path) -> list[Track | Listed]:
     for name in dict.fromkeys((*objects, *refs)):
         where = f"{path}, {name}"
         entity = _Entity(name, where, *_actions_of(root, name), road_map)
-        try:
-            track = replace(entity.track(), kind=_kind(objects.get(name, Element("none"))))
-        except UsageError as error:
-            found.append(Listed(name, entity.form, 0, np.zeros(0), why=str(error).removeprefix(f"{where}: ")))
-            continue
-        if is_carla:
-            turned = track.places * [1.0, -1.0]
-            track = replace(track, places=turned, notes=("y turned over, for CARLA's points right",))
+        track = track_or_why(where, name, entity.form, entity.track)
+        if isinstance(track, Track):
+            track = replace(track, kind=_kind(objects.get(name, Element("none"))))
+            if is_carla:
+                turned = track.places * [1.0, -1.0]
+                track = replace(track, places=turned, notes=("y turned over, for CARLA's points right",))
         found.append(track)
     return found
 

@@ -21,7 +21,7 @@ from skd_sim.start import installing
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.messages import Condition, read_messages
-from skd_evaluator.bags.tracks import Listed, Track, listed
+from skd_evaluator.bags.tracks import Listed, Track, listed, track_or_why
 from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, lanes_of
 
 
@@ -100,14 +100,16 @@ def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
         raise UsageError(f"{path}: has no moving object in ground truth of OSI")
     if len(set(roles.values())) < len(roles):  # two that say they are the same
         roles = {number: str(number) for number in roles}
-    found: list[Track | Listed] = []
+    found = []
     for number, states in rows.items():
-        name, where = roles[number], f"{path}, {roles[number]}"
-        try:
-            found.append(Track.of_rows(states, where, name, kinds[number], "moving object"))
-        except UsageError as error:
-            times = np.array([one[0] for one in states])
-            found.append(Listed(name, "moving object", len(states), times, why=str(error).removeprefix(where)[2:]))
+        name, form, where, times = (
+            roles[number],
+            "moving object",
+            f"{path}, {roles[number]}",
+            [one[0] for one in states],
+        )
+        given = states, where, name, kinds[number], form
+        found.append(track_or_why(where, name, form, Track.of_rows, *given, times=times))
     return found
 
 

@@ -9,7 +9,7 @@ of rows: of these only the requested tracks are kept.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -36,7 +36,9 @@ from skd_evaluator.bags.tracks import (
     bag_listing,
     bag_tracks,
     listed,
+    one_frame,
     table_tracks,
+    track_or_why,
 )
 from skd_evaluator.extensions.exchange.openscenario import OPENSCENARIO, STANDS, read_openscenario
 from skd_evaluator.extensions.exchange.osi import SCHEMA, TRACE, read_osi
@@ -177,38 +179,21 @@ def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage |
     if is_recording(path) and not _is_osi(path):
         return [_from_recording(files, request, damage)]
     form, found, usual = _objects_in(path, request, damage)
-    if usual == (TABLE_CAR, TABLE_OTHER) and request.road_user is None and any(one.kind for one in _tracks(found)):
+    ends = request.begin, request.end
+    if form == LEVELX and request.road_user is None:
         if request.needs_car:
             raise UsageError(f"{path}: --frame car needs one --road-user and one --car of its tracks")
-        return [TrackSource(f"{path.stem}_{one.name}", path, form, _cut(one, request), None) for one in found]
+        cut = [
+            one if isinstance(one, Listed) else track_or_why(one.where, one.name, one.form, one.cut, *ends)
+            for one in found
+        ]
+        return [TrackSource(f"{path.stem}_{one.name}", path, form, one, None) for one in cut]
     others = [one for one in found if one.name != usual[0]] if request.road_user is None else found
     if found and not others:
         raise UsageError(f"{path}: has nobody beside {usual[0]!r}, who is taken for the car: name one by --road-user")
     user = _one_of(others, request.road_user, usual[1], "--road-user", path)
     car = _one_of(found, request.car or usual[0], usual[0], "--car", path) if request.needs_car else None
-    stem = _OSI_NAME.sub("", path.stem)
-    return [
-        TrackSource(stem, path, form, user.cut(request.begin, request.end), car and car.cut(request.begin, request.end))
-    ]
-
-
-def _tracks(found: Sequence[Track | Listed]) -> list[Track]:
-    return [one for one in found if isinstance(one, Track)]
-
-
-def _cut(one: Track | Listed, request: ImportRequest) -> Track | Listed:
-    """Return a track between the times of a request; what is not read stays as it is."""
-    if isinstance(one, Listed):
-        return one
-    return _read_or_why(one.name, one.form, lambda: one.cut(request.begin, request.end))
-
-
-def _read_or_why(name: str, form: str, read: Callable[[], Track], where: str = "") -> Track | Listed:
-    """Return a track, or why there is none."""
-    try:
-        return read()
-    except UsageError as error:
-        return Listed(name, form, 0, np.zeros(0), why=str(error).removeprefix(where).removeprefix(": "))
+    return [TrackSource(_OSI_NAME.sub("", path.stem), path, form, user.cut(*ends), car and car.cut(*ends))]
 
 
 def _objects_in(
@@ -233,7 +218,7 @@ def _objects_in(
 
 def _one_of(found: Sequence[Track | Listed], name: str | None, usual: str, option: str, path: Path) -> Track:
     """Return the track with a name; without one the usual one, else the only one there is."""
-    read = {one.name: one for one in _tracks(found)}
+    read = {one.name: one for one in found if isinstance(one, Track)}
     known = {one.name: one for one in found if name is not None or one.form != STANDS}
     if name is not None and name not in known:
         raise UsageError(f"{path}: has no {name!r}; it has {listed(known)}: name one by {option}")
@@ -261,25 +246,16 @@ def _is_osi(path: Path) -> bool:
 def _from_recording(files: Sequence[Path], request: ImportRequest, damage: Damage) -> TrackSource:
     user, car = request.road_user or ADVERSARY_TOPIC, request.car or CAR_TOPIC
     path = files[0] if len(files) == 1 else files[0].parent
-    tracks = bag_tracks(
-        files,
-        [user, car] if request.needs_car else [user],
-        request.map_frame,
-        longest_gap=request.longest_gap,
-        tf=request.tf,
-        damage=damage,
-    )
-    if request.needs_car and tracks[user].frame != tracks[car].frame:
-        raise UsageError(
-            f"{path}: {user} in {tracks[user].frame!r} and {car} in {tracks[car].frame!r}: two frames; give "
-            "--map-frame, if /tf was recorded"
-        )
+    names = [user, car] if request.needs_car else [user]
+    tracks = bag_tracks(files, names, request.map_frame, longest_gap=request.longest_gap, tf=request.tf, damage=damage)
+    one_frame(path, *tracks.values())
     cut = {name: one.cut(request.begin, request.end) for name, one in tracks.items()}
     return TrackSource(name_of(files), path, "a bag of ROS", cut[user], cut[car] if request.needs_car else None)
 
 
 # --- csv
 
+LEVELX = "tracks in the layout of inD and rounD"
 _TRACKS, _META, _RECORDING = "_tracks.csv", "_tracksMeta.csv", "_recordingMeta.csv"
 _TIMED, _NAMED, _FRAMED = ("t", "x", "y"), ("t", "id", "x", "y"), ("trackId", "frame", "xCenter", "yCenter")
 
@@ -289,7 +265,7 @@ def _read_table(path: Path, request: ImportRequest, *, every: bool) -> tuple[str
     names = [one for one in (request.road_user, request.car) if one] if request.road_user else []
     header = header_of(path)
     if set(_FRAMED) <= set(header):
-        return "tracks in the layout of inD and rounD", _levelx(path, names, None if every else request.kind)
+        return LEVELX, _levelx(path, names, None if every else request.kind)
     if set(_NAMED) <= set(header):
         return "a table of tracked objects", list(table_tracks(path, names).values())
     if set(_TIMED) <= set(header):
@@ -319,17 +295,11 @@ def _levelx(path: Path, names: Collection[str], kind: str | None) -> list[Track 
             kept.setdefault(name, []).append((frame / rate, x, y))
     if not kept:
         raise UsageError(f"{path}: has no row of track {listed(sorted(chosen))}")
-    return [
-        _read_or_why(
-            name,
-            "frames",
-            lambda name=name, rows=rows: Track.of_rows(  # type: ignore[misc]
-                rows, f"{path}, {name}", name, classes[name], "frames"
-            ),
-            f"{path}, {name}",
-        )
-        for name, rows in kept.items()
-    ]
+    found = []
+    for name, rows in kept.items():
+        where = f"{path}, {name}"
+        found.append(track_or_why(where, name, "frames", Track.of_rows, rows, where, name, classes[name], "frames"))
+    return found
 
 
 def _rate(path: Path) -> float:
@@ -380,12 +350,11 @@ def read_commonroad(root: Element, where: str) -> list[Track | Listed]:
         raise UsageError(f"{where}: timeStepSize must be above 0 s, got {step:g}")
     dynamic = root.findall("dynamicObstacle")
     dynamic += [one for one in root.findall("obstacle") if (one.findtext("role") or "").strip() == "dynamic"]
-    names = [one.get("id", "") for one in dynamic]
-    return [
-        _read_or_why(name, _form(one), lambda one=one, name=name: _obstacle(one, name, names.count(name), step, where),  # type: ignore[misc]
-                     f"{where}, obstacle {name}")
-        for one, name in zip(dynamic, names, strict=True)
-    ]  # fmt: skip
+    names, found = [one.get("id", "") for one in dynamic], []
+    for one, name in zip(dynamic, names, strict=True):
+        here = f"{where}, obstacle {name}"
+        found.append(track_or_why(here, name, _form(one), _obstacle, one, name, names.count(name), step, here))
+    return found
 
 
 def _form(obstacle: Element) -> str:
@@ -394,8 +363,7 @@ def _form(obstacle: Element) -> str:
     return next((one for one in known if obstacle.find(one) is not None), "an initial state alone")
 
 
-def _obstacle(obstacle: Element, name: str, count: int, step: float, where: str) -> Track:
-    here = f"{where}, obstacle {name}"
+def _obstacle(obstacle: Element, name: str, count: int, step: float, here: str) -> Track:
     if count > 1:
         raise UsageError(f"{here}: {count} obstacles have this id; give a file in which each has its own")
     first, rest = obstacle.find("initialState"), obstacle.findall("trajectory/state")

@@ -28,6 +28,7 @@ from skd_evaluator.bags.tracks import (
     RecordingFrame,
     Track,
     bag_tracks,
+    one_frame,
     table_tracks,
 )
 from skd_evaluator.bags.transforms import zigzag
@@ -74,11 +75,7 @@ def read_tracks(path: Path, car: str | None, other: str | None, damage: Damage |
     else:
         files = [file for files in find_recordings([path], damage) for file in files]
         found = bag_tracks(files, [first, second], damage=damage)
-    if found[first].frame != found[second].frame:
-        raise UsageError(
-            f"{path}: {first} in {found[first].frame!r} and {second} in {found[second].frame!r}: two frames; record "
-            "both in one"
-        )
+    one_frame(path, found[first], found[second])
     for one in found.values():
         _check_track(one)
     return found[first], found[second]
