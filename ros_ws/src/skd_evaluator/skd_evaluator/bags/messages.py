@@ -42,21 +42,16 @@ def _shared(package: str) -> Iterator[Path]:
     return (folder for folder in (*folders, *own) if folder.is_dir())
 
 
-def _definition_folder() -> Path:
-    """Return the folder of skd_msgs' .msg files: of the sourced workspace, else as they come with SKD.
-
-    Raises:
-        UsageError: they are in neither place.
-    """
-    sourced = os.environ.get("AMENT_PREFIX_PATH") and next(_shared("skd_msgs"), None)
-    return sourced or message_package().folder / "msg"
-
-
 @functools.cache
 def typestore() -> Typestore:
-    """Return the type store with all messages that the graph uses."""
+    """Return the type store with all messages that the graph uses; skd_msgs of the sourced workspace, else SKD's own.
+
+    Raises:
+        UsageError: the definitions of skd_msgs are in neither place.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for file in sorted(_definition_folder().glob("*.msg")):
+    sourced = next(_shared("skd_msgs"), None) if os.environ.get("AMENT_PREFIX_PATH") else None
+    for file in sorted((sourced or message_package().folder / "msg").glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"skd_msgs/msg/{file.stem}"))
     return store
 
@@ -73,32 +68,29 @@ def types_in(name: str, encoding: str, definition: bytes) -> Typestore:
     Raises:
         UsageError: the definition cannot be read, or a type is defined nowhere.
     """
-    if not definition or encoding not in ("ros2msg", "ros2idl"):
+    if not definition or encoding not in _DEFINED.values():
         complete(typestore(), name)
         return typestore()
+    store = get_typestore(Stores.EMPTY)
     try:
         text = definition.decode()
-        types = get_types_from_idl(_idl_alone(text)) if encoding == "ros2idl" else get_types_from_msg(text, name)
-        store = get_typestore(Stores.EMPTY)
-        left = [*types]
-        while left:
-            used = [one for _, kind in types[left.pop()][1] for one in _names(kind) if one not in types]
-            for one in used:
+        if encoding == _DEFINED[_IDL]:  # without the lines by which rosbag2 separates definitions
+            lines = (line for line in text.splitlines() if not line.startswith(("====", "IDL:")))
+            types = get_types_from_idl("\n".join(lines))
+        else:
+            types = get_types_from_msg(text, name)
+        used = [name]
+        for one in used:
+            if one not in types:
                 complete(typestore(), one)
                 types[one] = typestore().fielddefs[one]
-            left += used
+            used += [inner for _, kind in types[one][1] for inner in _names(kind) if inner not in used]
         store.register(types)
-        store.fielddefs[name]  # that it is among them
     except UsageError:
         raise
     except Exception as error:  # its parser raises whatever the text makes it raise
         raise UsageError(f"the definition of {name:.80} cannot be read ({type(error).__name__})") from error
     return store
-
-
-def _idl_alone(text: str) -> str:
-    """Return definitions in IDL without the lines by which rosbag2 separates them."""
-    return "\n".join(line for line in text.splitlines() if not line.startswith(("====", "IDL:")))
 
 
 def complete(store: Typestore, name: str) -> None:
@@ -109,7 +101,7 @@ def complete(store: Typestore, name: str) -> None:
     """
     if name in store.fielddefs:
         return
-    package, _, kind = name.split("/")
+    package, _, kind = name.partition("/msg/")
     files = (folder / f"{kind}.msg" for folder in _shared(package))
     file = next((file for file in files if file.is_file()), None)
     if file is None:
@@ -131,12 +123,8 @@ def _names(field: Any) -> Iterator[str]:
 
 
 _LARGEST_RECORD = 256 * 2**20  # bytes; recorders' chunks have one to a few MiB
-_MCAP_MAGIC, _SQLITE_MAGIC, _ROS1_MAGIC, _ZSTD_MAGIC = (
-    b"\x89MCAP",
-    b"SQLite format 3",
-    b"#ROSBAG V",
-    b"\x28\xb5\x2f\xfd",
-)
+_MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP", b"SQLite format 3"
+_ROS1_MAGIC, _ZSTD_MAGIC = b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
 _MSG, _IDL = MessageDefinitionFormat.MSG, MessageDefinitionFormat.IDL
 _DEFINED = {_MSG: "ros2msg", _IDL: "ros2idl"}
 _CDR, _ROS1 = "cdr", "ros1"
@@ -307,12 +295,14 @@ def _rosbags(
 
 def _mcap(path: Path, requested: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
     """Yield the messages of an MCAP file."""
-    schemas: dict[int, Schema] = {}
+    schemas: dict[int, Schema] = {0: Schema(0, b"", "", "")}  # of messages that are of no type
     channels: dict[int, Channel] = {}
     with path.open("rb") as stream:
-        for record in _records(StreamReader(stream, emit_chunks=True, validate_crcs=True,
-                                            record_size_limit=_LARGEST_RECORD), condition):  # fmt: skip
+        reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
+        for record in _records(reader, condition):
             if isinstance(record, Schema):
+                if record.encoding == "ros1msg":
+                    record.encoding, record.name = _DEFINED[_MSG], record.name.replace("/", "/msg/", 1)
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 channels[record.id] = record
@@ -324,12 +314,13 @@ def _mcap(path: Path, requested: Callable[[str], bool], condition: Condition) ->
                 schema = None if channel is None else schemas.get(channel.schema_id)
                 if channel is not None:
                     condition.counts[channel.topic] += 1
-                if channel is None or (schema is None and requested(channel.topic)):
+                if channel is not None and not requested(channel.topic):
+                    continue
+                if channel is None or schema is None:
                     condition.damage.append(f"a message is of channel {record.channel_id}, which has no type")
-                elif schema is not None and requested(channel.topic):
-                    defined = (schema.encoding, schema.data)
-                    encoding = channel.message_encoding
-                    yield Received(channel.topic, schema.name, record.data, record.log_time, encoding, defined)
+                    continue
+                defined, encoding = (schema.encoding, schema.data), channel.message_encoding
+                yield Received(channel.topic, schema.name, record.data, record.log_time, encoding, defined)
         if not condition.damage and stream.read(1):
             condition.damage.append("something follows its end")
 
@@ -344,7 +335,10 @@ def _records(reader: StreamReader, condition: Condition) -> Iterator[McapRecord]
             elif isinstance(record, DataEnd):
                 condition.unchecked &= not record.data_section_crc
             elif isinstance(record, Statistics):
-                _compare(record, condition)
+                said, found = (record.message_count, record.chunk_count), (condition.messages, condition.chunks)
+                if said != found and not condition.damage:
+                    told = "it says that it holds {} messages in {} chunks, and has {} in {}".format(*said, *found)
+                    condition.damage.append(told)
             else:
                 condition.unchecked |= isinstance(record, Message)
                 yield record
@@ -372,15 +366,6 @@ def _of_chunk(chunk: Chunk, condition: Condition) -> list[McapRecord]:
         condition.unchecked |= not chunk.uncompressed_crc
         return records
     return []
-
-
-def _compare(said: Statistics, condition: Condition) -> None:
-    found = (condition.chunks, condition.messages)
-    if (said.chunk_count, said.message_count) != found and not condition.damage:
-        condition.damage.append(
-            f"it says that it holds {said.message_count} messages in {said.chunk_count} chunks, and has {found[1]} in "
-            f"{found[0]}"
-        )
 
 
 def shortened(text: str) -> str:
