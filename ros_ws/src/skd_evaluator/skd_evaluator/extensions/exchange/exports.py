@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import IntArray
@@ -20,7 +19,7 @@ from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import closing, print_json
-from skd_evaluator.extensions.exchange.osi import osi_messages, osi_name, osi_writer, write_osi
+from skd_evaluator.extensions.exchange.osi import osi_name, osi_writer, write_osi
 from skd_evaluator.extensions.exchange.scene import (
     ADVERSARY,
     EGO,
@@ -39,25 +38,20 @@ from skd_evaluator.version import version
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A format.
 
     Attributes:
         write: writes an episode into a file.
         name: returns the name of an episode's file.
-        losses: what of an episode the format does not keep, or not as it was, a sentence each.
         whole_ticks: whether it knows states at whole time steps alone.
         with_road: whether the road is a file of its own, beside those of the episodes.
-        check: raises a UsageError where a library that it needs is not installed.
     """
 
     write: Callable[[Path, ExportedEpisode], None]
     name: Callable[[ExportedEpisode], str]
-    losses: tuple[str, ...]
     whole_ticks: bool = False
     with_road: bool = False
-    check: Callable[[], object] = lambda: None
 
 
 def _write_csv(path: Path, recorded: ExportedEpisode) -> None:
@@ -73,58 +67,19 @@ def _write_csv(path: Path, recorded: ExportedEpisode) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _ending(suffix: str) -> Callable[[ExportedEpisode], str]:
-    return lambda recorded: f"{recorded.stem}.{suffix}"
-
-
-def _osi_is_there() -> None:
-    osi_messages()
-    osi_writer()
-
-
-_NEVER = "The car's policy is in no format: a φ has the car's start alone, a kamikaze its recorded way."
 FORMATS = {
-    "openscenario": Format(
-        write_openscenario,
-        _ending("xosc"),
-        (
-            _NEVER,
-            "A disc is the square about it.",
-            "Lanes of crossing roads are roads of their own, without a junction.",
-        ),
-        with_road=True,
-    ),
-    "osi": Format(
-        write_osi,
-        osi_name,
-        (
-            _NEVER,
-            "Times are whole nanoseconds.",
-            "A disc is the square about it.",
-            "Positions are those of the middle of boxes.",
-        ),
-        with_road=True,
-        check=_osi_is_there,
-    ),
-    "commonroad": Format(
-        write_commonroad,
-        _ending("xml"),
-        (
-            _NEVER,
-            "A kamikaze's last state is that of the tick in which the contact was, in which shapes overlap.",
-            "Positions are those of the middle of boxes.",
-            "Heights are not there.",
-        ),
-        whole_ticks=True,
-    ),
-    "csv": Format(_write_csv, _ending("csv"), (_NEVER, "Road, shapes and kinds are not there.")),
+    "openscenario": Format(write_openscenario, lambda recorded: f"{recorded.stem}.xosc", with_road=True),
+    "osi": Format(write_osi, osi_name, with_road=True),
+    "commonroad": Format(write_commonroad, lambda recorded: f"{recorded.stem}.xml", whole_ticks=True),
+    "csv": Format(_write_csv, lambda recorded: f"{recorded.stem}.csv"),
 }
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     kind = FORMATS[arguments.format]
-    kind.check()
+    if kind.write is write_osi:
+        osi_writer()  # that its libraries are there
     subjects = read_subjects([arguments.path])
     if len(subjects) > 1:
         raise UsageError(
@@ -144,7 +99,6 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
         "result": str(arguments.path),
         "format": arguments.format,
         "road": ROAD_FILE if kind.with_road else None,
-        "losses": list(kind.losses),
         "files": [{"file": kind.name(one.recorded), **one.entry} for one in going],
     }
 
@@ -168,8 +122,7 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
 _UNKNOWN_DATE = "1970-01-01T00:00:00Z"
 
 
-@dataclass(frozen=True)
-class Export:
+class Export(NamedTuple):
     """Something that goes out.
 
     Attributes:
@@ -194,23 +147,23 @@ def selected_episodes(subject: Subject, episode: int | None, worst: int | None, 
         UsageError: there is none.
     """
     episodes = subject.episodes
-    lasting = [number for number in range(len(episodes)) if np.isfinite(episodes.car[number]).all()]
-    lasting = [number for number in lasting if len(episodes.adversary[number]) > 1]
-    if objective is not None:
-        lasting = [number for number in lasting if str(episodes.objective[number]) == objective]
+
+    def fits(number: int) -> bool:
+        is_of = objective is None or str(episodes.objective[number]) == objective
+        return is_of and len(episodes.adversary[number]) > 1 and bool(np.isfinite(episodes.car[number]).all())
+
+    lasting = list(filter(fits, range(len(episodes))))
     if episode is not None:
         found = [number for number in lasting if int(episodes.episode_id[number]) == episode]
         if not found:
-            raise UsageError(
-                f"--episode {episode}: {subject.folder} holds no such episode; the report has the id of each"
-            )
+            none = "holds no such episode; the report has the id of each"
+            raise UsageError(f"--episode {episode}: {subject.folder} {none}")
         return found
-    fine = [number for number in lasting if episodes.outcome[number] != Outcome.ABORTED]
+    fine = {number for number in lasting if episodes.outcome[number] != Outcome.ABORTED}
     if worst is not None:
-        there = set(fine)
-        found = [number for number in episodes.worst_first().tolist() if number in there][:worst]
+        found = [number for number in episodes.worst_first().tolist() if number in fine][:worst]
     else:
-        found = [number for number in fine if episodes.mode[number] == Mode.KAMIKAZE]
+        found = [number for number in sorted(fine) if episodes.mode[number] == Mode.KAMIKAZE]
     if not found and (worst is not None or objective is not None):
         raise UsageError(f"{subject.folder}: holds no episode of that kind: every one was aborted, or none was run")
     return found
@@ -235,60 +188,42 @@ def _phi(subject: Subject, index: int) -> Export:
     """Return a φ: the adversary and the others, and where the car begins."""
     phi, step = subject.episodes.safe[index], subject.episodes.time_step
     course = EpisodeMotion(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 4), np.nan))
-    name = _name(subject, index)
-    title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {subject.scenario.name}, {subject.label}")
-    recorded = ExportedEpisode(
-        f"phi_{index:03d}",
-        title,
-        subject.scenario,
-        actors_of(subject.scenario, course, with_car=False),
-        start_of(subject.scenario, phi),
-        float(course.times[-1]),
-        _date(subject),
-    )
+    name, scenario = _name(subject, index), subject.scenario
+    title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {scenario.name}, {subject.label}")
+    actors, duration = actors_of(scenario, course, with_car=False), float(course.times[-1])
+    start, date = start_of(scenario, phi), _date(subject)
+    recorded = ExportedEpisode(f"phi_{index:03d}", title, scenario, actors, start, duration, date)
     return Export(recorded, {"mode": Mode.SAFE.name.lower(), "phi": index, "phi_name": name, "title": title})
 
 
 def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> Export:
-    episodes = subject.episodes
+    episodes, scenario = subject.episodes, subject.scenario
     hit = bool(episodes.collided[number])
     contact = None if whole_ticks else episodes.contact(number)
-    course = course_of(subject.scenario, episodes.adversary[number], episodes.car[number], contact)
-    scene = actors_of(subject.scenario, course, with_car=True)
+    course = course_of(scenario, episodes.adversary[number], episodes.car[number], contact)
+    scene = actors_of(scenario, course, with_car=True)
     x, y, heading, speed = scene[0].states[0].tolist()
-    mode, objective = Mode(int(episodes.mode[number])), str(episodes.objective[number])
-    index, id_ = int(episodes.safe_index[number]), int(episodes.episode_id[number])
-    who = f"kamikaze of objective {objective}" if objective else "run along φ"
-    outcome = Outcome(int(episodes.outcome[number])).name.lower()
-    name = _name(subject, index)
-    of = f"φ {index} ({name}) of {subject.scenario.name}, {subject.label}"
-    title = one_line(f"SKD: {who}, episode {id_}, {of}: {outcome}")  # names are anybody's, and XML takes not all
-    kind = re.sub(r"\W", "-", objective, flags=re.ASCII)
-    stem = "_".join(filter(None, ("kamikaze" if objective else "along", kind, str(id_))))
-    recorded = ExportedEpisode(
-        stem,
-        title,
-        subject.scenario,
-        scene if with_car else scene[1:],
-        (x, y, heading, speed),
-        float(course.times[-1]),
-        _date(subject),
-        whole_ticks,
-    )
+    index, id_, objective = (one[number] for one in (episodes.safe_index, episodes.episode_id, episodes.objective))
+    who, outcome = f"kamikaze of objective {objective}" if objective else "run along φ", episodes.outcome[number]
     entry = {
-        "mode": mode.name.lower(),
-        "phi": index,
-        "phi_name": name,
-        "title": title,
-        "episode_id": id_,
-        "objective": objective,
-        "outcome": outcome,
+        "mode": Mode(int(episodes.mode[number])).name.lower(),
+        "phi": int(index),
+        "phi_name": _name(subject, int(index)),
+        "title": "",
+        "episode_id": int(id_),
+        "objective": str(objective),
+        "outcome": Outcome(int(outcome)).name.lower(),
         "impact_time": float(episodes.impact_time[number]) if hit else None,
         "impact_speed": float(episodes.impact_speed[number]) if hit else None,
         "contact": episodes.until_contact(number)[-1].tolist() if hit else None,
         "deviation": float(episodes.deviation[number]) if hit else None,
     }
-    return Export(recorded, entry)
+    of = f"φ {index} ({entry['phi_name']}) of {scenario.name}, {subject.label}"
+    title = entry["title"] = one_line(f"SKD: {who}, episode {id_}, {of}: {entry['outcome']}")
+    stem = f"kamikaze_{re.sub(r'[^A-Za-z0-9_]', '-', str(objective))}_{id_}" if objective else f"along_{id_}"
+    actors, duration = scene if with_car else scene[1:], float(course.times[-1])
+    start, date = (x, y, heading, speed), _date(subject)
+    return Export(ExportedEpisode(stem, title, scenario, actors, start, duration, date, whole_ticks), entry)
 
 
 def _name(subject: Subject, index: int) -> str:

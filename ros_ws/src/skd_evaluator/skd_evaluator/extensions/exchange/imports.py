@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,11 +24,11 @@ from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.tracks import GAP, Listed, RecordingFrame, Track
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import closing, print_json
 from skd_evaluator.extensions.exchange.options import BY_CAR
 from skd_evaluator.extensions.exchange.readers import ImportRequest, TrackSource, files_in, listing, read_sources
 from skd_evaluator.extensions.exchange.scene import IMPORT
-from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_evaluator.report.terminal import counted, narrow_table, print_table
 from skd_evaluator.version import version
 
 SAFE = "safe"
@@ -48,17 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.frame != BY_CAR:
         x, y, degrees = arguments.frame
         frame = RecordingFrame(x, y, math.radians(degrees))
-    request = ImportRequest(
-        arguments.road_user,
-        arguments.car,
-        arguments.kind,
-        frame is None,
-        arguments.map_frame,
-        arguments.tf_topic,
-        arguments.longest_gap,
-        arguments.begin,
-        arguments.end,
-    )
+    same = ("road_user", "car", "kind", "map_frame", "longest_gap", "begin", "end")
+    given = {name: getattr(arguments, name) for name in same}
+    request = ImportRequest(needs_car=frame is None, tf=arguments.tf_topic, **given)
     damage = Damage(skip=True)
     if arguments.list:
         return _list(arguments, damage)
@@ -88,24 +79,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(content)
     else:
-        _say(damage)
         for one, name in list(zip(found, names, strict=True))[:_SHOWN]:
             print(f"{name}: {one.source.format}, {one.track.name}: {one.quality.text}")
-        for path, who, why in left_out[:_SHOWN]:
-            print(f"skd import: warning: {path}, {who}, left out: {why}", file=sys.stderr)
         if max(len(found), len(left_out)) > _SHOWN:
             print(f"{len(found)} imported, {len(left_out)} left out; {IMPORT} has all of them")
         if not problem:
             behind = f" --scenario {arguments.scenario}" if arguments.scenario else ""
             print(f"next: skd assess --safe {out.path / SAFE} --safe-count {len(found)}{behind}")
-    if problem:
-        print(f"skd import: {problem}", file=sys.stderr)
-    return 1 if problem else 0
-
-
-def _say(damage: Damage) -> None:
-    for line in damage.lines:
-        print(f"skd import: warning: {line}", file=sys.stderr)
+    lost = [f"{path}, {who}, left out: {why}" for path, who, why in left_out[:_SHOWN]]
+    return closing("import", [] if arguments.json else [*damage.lines, *lost], problem)
 
 
 def _list(arguments: argparse.Namespace, damage: Damage) -> int:
@@ -114,18 +96,13 @@ def _list(arguments: argparse.Namespace, damage: Damage) -> int:
     for files in files_in(arguments.paths, damage)[0]:
         found[str(files[0] if len(files) == 1 else files[0].parent)] = listing(files, damage, arguments.topics)
     if arguments.json:
-        print_json(
-            {
-                "files": {path: [one.as_dict() for one in rows] for path, rows in found.items()},
-                "warnings": damage.lines,
-            }
-        )
+        entries = {path: [one.as_dict() for one in rows] for path, rows in found.items()}
+        print_json({"files": entries, "warnings": damage.lines})
         return 0
+    heads = ("who", "form", "positions", "a second", "gaps", "from", "to", "frame", "not read because")
     for path, rows in found.items():
-        heads = ("who", "form", "positions", "a second", "gaps", "from", "to", "frame", "not read because")
         print_table(narrow_table(path, heads, [_cells(one) for one in rows]))
-    _say(damage)
-    return 0
+    return closing("import", damage.lines)
 
 
 def _cells(one: Listed) -> list[str]:
@@ -135,7 +112,8 @@ def _cells(one: Listed) -> list[str]:
     rate = "" if said["rate"] is None else f"{said['rate']:.3g}"
     ends = ("" if said[key] is None else f"{said[key]:.2f}" for key in ("begins", "ends"))
     return [
-        *map(escape, (one.name, one.form)),
+        escape(one.name),
+        escape(one.form),
         str(one.positions),
         rate,
         gaps,
@@ -156,21 +134,19 @@ def _imported(
     found: list[ImportedTrajectory] = []
     compared: list[FloatArray] = []
     files, exported = files_in(arguments.paths, damage)
-    left_out = [
-        (path, "its adversary", "a kamikaze or a run along φ, which is no safe trajectory") for path in exported
-    ]
-    for one_file in files:
-        for source in read_sources(one_file, request, damage):
-            try:
-                one = trajectory_of(source, frame, arguments.longest_gap, scenario)
-                compared.append(
-                    np.column_stack([one.places, one.times]) if scenario is None else _at_ticks(one, scenario)
-                )
-                found.append(one)
-                for note in one.track.notes:
-                    damage.warn(f"{one.track.where}: {note}")
-            except UnusableError as error:
-                left_out.append((source.path, source.found.name, str(error)))
+    kamikaze = "a kamikaze or a run along φ, which is no safe trajectory"
+    left_out = [(path, "its adversary", kamikaze) for path in exported]
+    for source in (source for one in files for source in read_sources(one, request, damage)):
+        try:
+            one = trajectory_of(source, frame, arguments.longest_gap, scenario)
+            places = np.column_stack([one.places, one.times]) if scenario is None else _at_ticks(one, scenario)
+        except UnusableError as error:
+            left_out.append((source.path, source.found.name, str(error)))
+            continue
+        found.append(one)
+        compared.append(places)
+        for note in one.track.notes:
+            damage.warn(f"{one.track.where}: {note}")
     again = dict(repeated(compared, moved=False))  # drawn ones may be the same; --safe refuses them
     for index, first in again.items():
         source = found[index].source
@@ -226,14 +202,9 @@ class TrackQuality:
     @property
     def text(self) -> str:
         """It in a line."""
-        gaps = f"{self.gaps} gap{'s' if self.gaps != 1 else ''}, {self.filled:.2f} s in all, filled in straight lines"
-        parts = [
-            f"{self.positions} positions in {self.duration:.2f} s, {self.rate:.3g} a second",
-            gaps if self.gaps else "no gaps",
-            self.placed,
-            self.cut,
-        ]
-        return "; ".join(filter(None, parts))
+        gaps = f"{counted(self.gaps, 'gap')}, {self.filled:.2f} s in all, filled in straight lines"
+        rate = f"{self.positions} positions in {self.duration:.2f} s, {self.rate:.3g} a second"
+        return "; ".join(filter(None, (rate, gaps if self.gaps else "no gaps", self.placed, self.cut)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,15 +227,8 @@ class ImportedTrajectory:
 
     def entry(self, file: str) -> dict[str, Any]:
         """Return its entry in import.json."""
-        found = self.track
-        return {
-            "file": file,
-            "source": str(self.source.path),
-            "format": self.source.format,
-            "road_user": found.name,
-            "kind": found.kind,
-            **asdict(self.quality),
-        }
+        of = {"source": str(self.source.path), "format": self.source.format}
+        return {"file": file, **of, "road_user": self.track.name, "kind": self.track.kind, **asdict(self.quality)}
 
     def write(self, path: Path) -> None:
         """Write it as csv with the columns t, x, y, which `--safe` reads; numbers come back to the last bit."""
@@ -300,20 +264,20 @@ def trajectory_of(
     if scenario is not None and track.times[-1] - track.times[0] > scenario.horizon:
         begin, end, cut = _around_crossing(scenario, track.times, placed)
     times = track.times[begin:end]
-    quality = TrackQuality(
-        len(track.times),
-        float(track.times[-1] - track.times[0]),
-        1.0 / usual,
-        float(steps.max()),
-        int(gaps.size),
-        float(gaps.sum()),
-        track.frame,
-        said,
-        cut,
-        track.origin + float(times[0]),
-    )
     if len(times) < 2:
         raise UnusableError("nothing of it is near the crossing within the scenario's horizon")
+    quality = TrackQuality(
+        positions=len(track.times),
+        duration=float(track.times[-1] - track.times[0]),
+        rate=1.0 / usual,
+        longest_step=float(steps.max()),
+        gaps=int(gaps.size),
+        filled=float(gaps.sum()),
+        frame=track.frame,
+        placed=said,
+        cut=cut,
+        starts=track.origin + float(times[0]),
+    )
     return ImportedTrajectory(source, track, times - times[0], placed[begin:end], quality)
 
 
