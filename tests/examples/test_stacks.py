@@ -116,6 +116,9 @@ def test_the_emergency_brake_goes_before_the_planner():
     mux = parameters(launch)["ackermann_mux"]["topics"]
     assert mux["emergency"]["priority"] > mux["cruise"]["priority"]
     assert planner(launch) == {"ackermann": "true", "command": mux["cruise"]["topic"]}
+    for words in commands(launch):  # after a release the car has no command until the timeout is over
+        (period,) = (float(word.partition(":=")[2]) for word in words if word.startswith("control_period:="))
+        assert mux["emergency"]["timeout"] <= 2.0 * period
     brake = remapped(nodes(launch)["safety_node"])
     assert brake.pop("drive") == mux["emergency"]["topic"]
     assert set(brake.values()) == HEARD

@@ -1,72 +1,19 @@
-"""Views, containers, scripts and the tutorial: valid, and naming only what exists."""
+"""Containers, scripts and the tutorial: valid, and naming only what exists."""
 
 from __future__ import annotations
 
-import importlib
-import json
 import os
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
-from packaging_support import ROOT, SOURCE, check_command
+from packaging_support import ROOT, check_command
 
 SCRIPTS = ("run-node", "assess-controller", "replay-logs")
 ERRORS = {"run-node": ["", "juggler", "--"], "assess-controller": ["", "--seed 3"], "replay-logs": [""]}
-
-
-def topics() -> set[str]:
-    support = importlib.import_module("skd_sim.ros.support")
-    names = (
-        *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "ADVERSARY_ODOMETRY"),
-        *("COMMAND", "MARKERS", "ASSESSMENT", "CLEARANCE", "DEVIATION", "BELIEVED_CAR"),
-    )
-    return {f"/{getattr(support, name)}" for name in names}
-
-
-def strings(content: Any) -> list[str]:
-    if isinstance(content, dict):
-        return [text for key, value in content.items() for text in (*strings(key), *strings(value))]
-    if isinstance(content, list):
-        return [text for value in content for text in strings(value)]
-    return [content] if isinstance(content, str) else []
-
-
-def test_rviz_view():
-    view = yaml.safe_load((SOURCE / "skd_evaluator" / "rviz" / "skd.rviz").read_text(encoding="utf-8"))
-    manager = view["Visualization Manager"]
-    assert manager["Global Options"]["Fixed Frame"] == "map"
-    assert manager["Views"]["Current"]["Class"] == "rviz_default_plugins/TopDownOrtho"
-    shown = {}
-    for display in manager["Displays"]:
-        for topic in (display[key] for key in ("Topic", "Description Topic") if key in display):
-            shown[topic["Value"]] = (display["Class"].partition("/")[2], topic["Durability Policy"])
-    assert shown == {
-        "/skd/markers": ("MarkerArray", "Transient Local"),
-        "/robot_description": ("RobotModel", "Transient Local"),
-        "/ego/scan": ("LaserScan", "Volatile"),
-        "/ego/odometry": ("Odometry", "Volatile"),
-        "/adversary/odometry": ("Odometry", "Volatile"),
-    }
-    assert set(shown) <= topics()
-    assert "rviz_default_plugins/TF" in {display["Class"] for display in manager["Displays"]}
-
-
-def test_foxglove_layout():
-    layout = json.loads((SOURCE / "skd_evaluator" / "foxglove" / "skd.json").read_text(encoding="utf-8"))
-    panels = layout["configById"]
-    placed = [text for text in strings(layout["layout"]) if "!" in text]
-    assert sorted(placed) == sorted(panels)
-    absolute = re.compile(r"/((skd|ego|adversary)/|robot_description)")
-    named = {text.split(".")[0] for text in strings(panels) if absolute.match(text)}
-    assert named == topics()
-    following = [panel["followTf"] for panel in panels.values() if panel.get("followMode") == "follow-pose"]
-    assert following == ["base_link"]
 
 
 DOCUMENTS = sorted(

@@ -288,9 +288,9 @@ def _identity(message: Any) -> tuple[str, int, int]:
 class VehicleSimulator(GraphNode):
     """The world, and its clock."""
 
-    def __init__(self) -> None:
-        """Declare parameters; then wait for an episode."""
-        super().__init__("vehicle_simulator")
+    def __init__(self, **node_arguments: Any) -> None:
+        """Declare parameters, with arguments of `rclpy.node.Node`; then wait for an episode."""
+        super().__init__("vehicle_simulator", **node_arguments)
         self.simulator = GraphSimulator(self, NamedSimulator(), declare(self, *TABLES))
 
 
