@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
+import tomllib
 
 import pytest
 from packaging_support import (
     ALL_NODES,
     PYTHON_PACKAGES,
+    ROOT,
     SOURCE,
     defaults_on_file,
     settings,
@@ -103,3 +106,11 @@ def test_declarations_are_sound(node):
         if isinstance(default, (int, float)) and not isinstance(default, bool):
             assert setting.low <= default <= setting.high, name
             assert len(descriptor.integer_range) + len(descriptor.floating_point_range) == 1, name
+
+
+def test_the_lock_file_is_of_the_dependencies_that_are_declared():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    declared = {re.split(r"[=<>;\[ ]", line)[0].lower() for line in project["dependencies"]}
+    locked = (ROOT / "requirements" / "run.lock").read_text(encoding="utf-8")
+    entries = re.split(r"^(?=[a-z])", locked, flags=re.MULTILINE)
+    assert {one.split("==")[0] for one in entries if "skd (pyproject.toml)" in one} == declared
