@@ -186,7 +186,7 @@ def test_a_wait_in_vain_is_given_up(graph: Graph, monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(stack_module, name, 0.1 * getattr(stack_module, name))
     publisher = COMMANDS_IT(graph.stack)
     lines: list[str] = []
-    commands = FirstCommands(graph.watcher, [COMMANDS], lines.append)
+    commands = FirstCommands(graph.watcher, COMMANDS, lines.append)
     commands.begin(START)
     if not certain:
         HEARS(graph.stack)
@@ -215,7 +215,7 @@ def test_a_simulator_that_is_not_there_is_named(graph: Graph, monkeypatch: pytes
     monkeypatch.setattr(stack_module, "_LOOK_EVERY", 0.0)
     monkeypatch.setattr(stack_module, "_HINT_AFTER", 0.0)
     lines: list[str] = []
-    commands = FirstCommands(graph.stack, [COMMANDS], lines.append)
+    commands = FirstCommands(graph.stack, COMMANDS, lines.append)
     graph.watcher.destroy_node()
     wait_until(lambda: not graph.stack.count_publishers("/ego/odometry"))
     commands.look(state_came=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from skd_sim.inputs.files import folders_in, read_json
 from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH, right_and_along, road_pose
-from skd_sim.scenario.scenario import Scenario, scenario_from_dict
+from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
@@ -99,92 +99,70 @@ def _arrays_below(folder: Path, damage: Damage) -> list[Path]:
     return [path / EPISODES for path in sorted(holding) if not holds_recordings(path)]
 
 
-@dataclass(frozen=True)
-class _Beside:
-    """What assessment.json or probe.json says of the episodes.npz beside it; why it may be of another car."""
-
-    scenario: Scenario
-    controller: str
-    multiplier: float
-    seed: int
-    adversary_model: AdversaryModel | None = None
-    not_credible: tuple[str, ...] = ()
-
-
-def _said_beside(path: Path) -> _Beside:
-    """Return to which car and scenario an episodes.npz belongs, from the summary in its folder."""
-    for name in SUMMARIES:
-        file = path.parent / name
-        if file.exists():
-            try:
-                content = read_json(file)
-                options = content.get("options") or {}
-                scenario = scenario_from_dict(content["scenario"], str(file))
-                controller, multiplier = str(content["controller"]), content["multiplier"]
-                # Where a car has one, it has to be known.
-                return _Beside(
-                    scenario,
-                    controller,
-                    float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
-                    int(content["seed"]),
-                    AdversaryModel(options["adversary_model"]) if options.get("adversary_model") else None,
-                    tuple(not_credible(content.get("warnings") or ())),
-                )
-            except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-                raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
-    raise UsageError(f"{path}: has no {' or '.join(SUMMARIES)} beside it, which says what car it was")
+def _car_of(path: Path) -> tuple[EpisodeSpec, list[str]]:
+    """Return what all episodes of an episodes.npz share, from the summary in its folder, and why it is not credible."""
+    file = next((path.parent / name for name in SUMMARIES if (path.parent / name).exists()), None)
+    if file is None:
+        raise UsageError(f"{path}: has no {' or '.join(SUMMARIES)} beside it, which says what car it was")
+    try:
+        content = read_json(file)
+        controller, multiplier = str(content["controller"]), content["multiplier"]
+        if multiplier is None and not CarUnderTest(controller).has_multiplier:
+            multiplier = 1.0
+        model = (content.get("options") or {}).get("adversary_model")
+        spec = EpisodeSpec(
+            scenario_from_dict(content["scenario"], str(file)),
+            Mode.SAFE,
+            int(content["seed"]),
+            0,
+            controller=controller,
+            multiplier=float(multiplier),
+            adversary_model=AdversaryModel(model) if model else None,
+        )
+        return spec, not_credible(content.get("warnings") or ())
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
 
 
 def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, RecordedEpisode]]:
     """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
     try:
         check_unchanged(path.parent, [path.name, *(name for name in SUMMARIES if (path.parent / name).exists())])
-        logs = _logs_in(path)
-        for line in _said_beside(path).not_credible:
-            damage.warn(f"{path}: {line}")
+        car, reasons = _car_of(path)
+        logs = _logs_in(path, car)
     except UsageError as error:
         damage.leave_out(str(error))
         return
-    found = [LocatedLog(log, str(path), str(path)) for log in logs]
-    for index in accept(found, damage):
-        log = logs[index]
-        yield log.episode.car.label, recording_of(log)
+    for line in reasons:
+        damage.warn(f"{path}: {line}")
+    for index in accept([LocatedLog(log, str(path), str(path)) for log in logs], damage):
+        yield logs[index].episode.car.label, recording_of(logs[index])
 
 
-def _logs_in(path: Path) -> list[EpisodeLog]:
+def _logs_in(path: Path, car: EpisodeSpec) -> list[EpisodeLog]:
     """Return the episodes of an episodes.npz, of an assessment or of a probe."""
-    beside, stored = _said_beside(path), read_arrays(path.parent, path.name)
-    if stored.time_step != beside.scenario.time_step:
-        raise UsageError(
-            f"{path}: its time step is {stored.time_step:g} s, that of its scenario {beside.scenario.time_step:g} s"
-        )
+    stored, step = read_arrays(path.parent, path.name), car.scenario.time_step
+    if stored.time_step != step:
+        raise UsageError(f"{path}: its time step is {stored.time_step:g} s, that of its scenario {step:g} s")
     try:
-        safe = [Trajectory(one, stored.time_step, f"{path}/{row}") for row, one in enumerate(stored.safe)]
-        return [stored.log(number, _episode(stored, number, safe, beside)) for number in range(len(stored))]
+        safe = [Trajectory(one, step, f"{path}/{row}") for row, one in enumerate(stored.safe)]
+        return [stored.log(row, _episode(stored, row, safe, car)) for row in range(len(stored))]
     except (ValueError, IndexError) as error:
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
 
 
-def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], beside: _Beside) -> EpisodeSpec:
+def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], car: EpisodeSpec) -> EpisodeSpec:
     """Return the specification of an episode, as far as it decides what can have happened."""
     number, objective = int(stored.episode_id[row]), str(stored.objective[row])
     stage, index, _ = split_episode_id(number)
-    if stage == Stage.PROBE:
-        trajectory = probed(beside.scenario, beside.seed, number)
-    elif index < len(safe):
-        trajectory = safe[index]
-    else:
+    if stage != Stage.PROBE and index >= len(safe):
         raise UsageError(
             f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}, numbered from 0"
         )
-    return EpisodeSpec(
-        beside.scenario,
-        Mode(int(stored.mode[row])),
-        beside.seed,
-        number,
-        controller=beside.controller,
-        multiplier=beside.multiplier,
-        safe_trajectory=trajectory,
+    return replace(
+        car,
+        mode=Mode(int(stored.mode[row])),
+        episode_id=number,
+        safe_trajectory=probed(car.scenario, car.seed, number) if stage == Stage.PROBE else safe[index],
         objective=Objective(objective) if objective else Objective.PAPER,
-        adversary_model=beside.adversary_model,
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
+import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.options import options_of, shared_options
@@ -29,15 +30,6 @@ from skd_evaluator.metrics.aborted import aborted_lines
 _OPTIONS = [one for one in options_of(EpisodeSpec) if one.name != "objective"]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))
 _OF_KAMIKAZES = [one.name for one in _OPTIONS if one.planning]  # no matter in an episode that plans nothing
-
-
-@dataclass
-class _Group:
-    """All episodes of one safe trajectory, in order of their trials."""
-
-    safe_trajectory: Trajectory
-    kamikaze: dict[Objective, list[EpisodeLog]] = field(default_factory=dict)
-    replays: list[tuple[int, EpisodeLog]] = field(default_factory=list)
 
 
 def _select(episodes: Sequence[BagEpisode], campaign: str | None) -> list[BagEpisode]:
@@ -90,9 +82,11 @@ def assessment_from_logs(
     if not chosen:
         raise UsageError("the bags hold no kamikaze or replay episode that ended; those of skd probe are for skd fit")
     first = chosen[0].log.episode
-    groups: dict[int, _Group] = {}
-    for episode in chosen:
-        spec = episode.log.episode
+    safe: dict[int, Trajectory] = {}
+    kamikazes: dict[tuple[int, Objective], list[EpisodeLog]] = {}
+    nominal: list[tuple[int, int, EpisodeLog]] = []
+    for log in (episode.log for episode in chosen):
+        spec = log.episode
         for name in _SHARED:
             one, other = getattr(first, name), getattr(spec, name)
             if one != other and not (name in _OF_KAMIKAZES and Mode.REPLAY in (spec.mode, first.mode)):
@@ -100,30 +94,25 @@ def assessment_from_logs(
                 raise UsageError(f"the episodes of one campaign differ in {what}")
         assert spec.safe_trajectory is not None
         stage, index, trial = split_episode_id(spec.episode_id)
-        group = groups.setdefault(index, _Group(spec.safe_trajectory))
-        if not (group.safe_trajectory.positions.shape == spec.safe_trajectory.positions.shape) or bool(
-            (group.safe_trajectory.positions != spec.safe_trajectory.positions).any()
-        ):
+        if not np.array_equal(safe.setdefault(index, spec.safe_trajectory).positions, spec.safe_trajectory.positions):
             raise UsageError(
                 f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
             )
         if stage == Stage.KAMIKAZE:
-            group.kamikaze.setdefault(spec.objective, []).append(episode.log)
+            kamikazes.setdefault((index, spec.objective), []).append(log)
         else:
-            group.replays.append((trial, episode.log))
-    ordered = [groups[index] for index in sorted(groups)]
-    objectives = in_order([one for group in ordered for one in group.kamikaze] or [first.objective])
+            nominal.append((trial, index, log))
+    objectives = in_order([one for _, one in kamikazes] or [first.objective])
+    indices = sorted(safe)
     sets = {
-        objective: [kamikaze_set(group.safe_trajectory, group.kamikaze.get(objective, ())) for group in ordered]
-        for objective in objectives
+        one: [kamikaze_set(safe[index], kamikazes.get((index, one), ())) for index in indices] for one in objectives
     }
-    turns = [(trial, index, log) for index, group in enumerate(ordered) for trial, log in group.replays]
-    replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
-    planned = next((log.episode for group in ordered for logs in group.kamikaze.values() for log in logs), first)
+    replays = [log for _, _, log in sorted(nominal, key=lambda run: run[:2])]
+    planned = next((logs[0].episode for logs in kamikazes.values()), first)
     plan = Plan(
         scenario=first.scenario,
         safe=RECORDED,
-        safe_count=len(ordered),
+        safe_count=len(indices),
         kamikaze_count=_kamikaze_count(sets.values()),
         collision_runs=len(replays),
         seed=first.seed,
@@ -133,9 +122,7 @@ def assessment_from_logs(
             "maximum_distance": maximum_distance or first.maximum_distance,
         },
     )
-    assessment = replace(
-        assessment_of(plan, [group.safe_trajectory for group in ordered], sets, replays), seconds=seconds
-    )
+    assessment = replace(assessment_of(plan, [safe[index] for index in indices], sets, replays), seconds=seconds)
     stands = (*standing(plan.controller, replays), *missed_periods(plan.controller, assessment.logs))
     lost = aborted_lines(assessment.as_dict()) if assessment.reasons else []
     if damage is None:
@@ -147,7 +134,7 @@ def assessment_from_logs(
     requested = max((count for counts in reached.values() for count in counts), default=0)
     for objective in objectives:
         own = [name.episode_id for name in announced if name.objective in ("", objective)]
-        by_index = dict(zip(sorted(groups), reached[str(objective)], strict=True))
+        by_index = dict(zip(indices, reached[str(objective)], strict=True))
         which = f" of objective {objective}" if len(objectives) > 1 else ""
         lines += missing_episodes(own, by_index, requested=requested, left_out=bool(damage.left_out), which=which)
     lines += aborted_episodes([episode.log for episode in chosen])

@@ -271,11 +271,15 @@ class Evaluator(GraphNode):
         self._own_world, self._anew = own_world, anew
         driven = car_commands(commands)
         self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
-        awaited = [Awaited(self._drive_topic, kind_name(driven.kind))]
         if self._composed is None:
-            awaited.append(Awaited(walk_topic, kind_name(TwistStamped)))
             self._listen(EPISODE_RESULT, EpisodeResult, self._on_result)
-        self._first_commands = FirstCommands(self, awaited, say, by_stamp=answers_each_state is not False)
+        self._first_commands = FirstCommands(
+            self,
+            Awaited(self._drive_topic, kind_name(driven.kind)),
+            say,
+            by_stamp=answers_each_state is not False,
+            walk_topic=walk_topic if self._composed is None else "",
+        )
         if self._composed is None or record_to is not None:
             self._listen(EGO_ODOMETRY, Odometry, self._on_car)
             self._listen(ADVERSARY_ODOMETRY, Odometry, self._on_adversary)

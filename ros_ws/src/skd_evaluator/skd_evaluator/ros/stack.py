@@ -182,17 +182,19 @@ class FirstCommands:
     """Says for which command an episode waits and why it does not come, and gives up a wait that is in vain."""
 
     def __init__(
-        self, node: Node, awaited: Sequence[Awaited], say: Callable[[str], None], *, by_stamp: bool = True
+        self, node: Node, awaited: Awaited, say: Callable[[str], None], *, by_stamp: bool = True, walk_topic: str = ""
     ) -> None:
         """Know nothing yet.
 
         Args:
             node: node through which the graph is seen; it has to be spun while `look` is called.
-            awaited: the commands that are awaited, the car's first.
+            awaited: the car's command.
             say: called with each line.
             by_stamp: whether a command has to have its state's stamp, as in lockstep without a quiet time.
+            walk_topic: topic of the adversary's commands; empty where it is in this process.
         """
         self._node, self._awaited, self._say, self._by_stamp = node, awaited, say, by_stamp
+        self._walk_topic = walk_topic
         self._heard: dict[str, Heard] = {}
         self.begin(0)
 
@@ -204,14 +206,13 @@ class FirstCommands:
         self._said = -_SAY_AGAIN
         self._causes: list[tuple[str, str]] = []
         self._certain: tuple[str, frozenset[str]] | None = None
-        self.reasons: list[str] = []
 
     def end(self) -> None:
         """The commands are there, or will not come."""
         for heard in self._heard.values():
             self._node.destroy_subscription(heard.subscription)
         self._heard.clear()
-        self.reasons = []
+        self.reasons: list[str] = []
 
     def look(self, *, state_came: bool) -> None:
         """See what is wrong; to be called now and then while the first commands have not come.
@@ -226,44 +227,41 @@ class FirstCommands:
         if now - self._looked < _LOOK_EVERY:
             return
         self._looked, waited = now, now - self._began
-        found = [(one, self._evidence(one)) for one in self._awaited] if state_came else []
-        diagnoses = [(one.topic, diagnose(seen)) for one, seen in found if not seen.answered]
-        for _, seen in found:
+        waits: list[tuple[str, str, str]] = []  # topic, cause, in words
+        certain = None
+        if state_came:
+            seen = Evidence(self._node, self._awaited, self._start, self._by_stamp, self._senses, self._heard)
+            if not seen.answered:
+                cause, is_certain, text = diagnose(seen)
+                waits.append((self._awaited.topic, cause, text))
+                certain = (cause, frozenset(seen.listening)) if is_certain else None
             self._listen(seen)
-        causes = [(topic, one.cause) for topic, one in diagnoses]
-        self.reasons = [f"{topic}: {one.text}" for topic, one in diagnoses]
-        if not state_came:
+            if self._walk_topic and not self._node.count_publishers(self._walk_topic):
+                waits.append((self._walk_topic, "", f"no node publishes on {self._walk_topic}"))
+        else:
             topic = self._node.resolve_topic_name(EGO_ODOMETRY)
             publishers = living_publishers(self._node, topic)
             why = f"{publishers[0].name} is there and says nothing" if publishers else f"no node publishes on {topic}"
-            self.reasons, causes = [f"{topic}: {why}: vehicle_simulator is to publish it"], [(topic, "")]
-        certain_one = any(one.certain for _, one in diagnoses)
-        if waited >= (_SAY_AFTER if certain_one else _HINT_AFTER) and (
+            waits.append((topic, "", f"{why}: vehicle_simulator is to publish it"))
+        self.reasons = [f"{topic}: {text}" for topic, _, text in waits]
+        causes = [one[:2] for one in waits]
+        if waited >= (_HINT_AFTER if certain is None else _SAY_AFTER) and (
             causes != self._causes or waited - self._said >= _SAY_AGAIN
         ):
             self._causes, self._said = causes, waited
-            for reason in self.reasons:
-                topic, _, why = reason.partition(": ")
-                self._say(f"waiting for {topic} ({waited:.0f} s): {why}")
-        if diagnoses and diagnoses[0][0] == self._awaited[0].topic and diagnoses[0][1].certain:
-            certain = diagnoses[0][1].cause, frozenset(found[0][1].listening)
-            if certain != self._certain:
-                self._certain, self._certain_since = certain, now
-            elif now - self._certain_since >= _CERTAIN_AFTER:
-                raise AssessmentError(f"the car controller is not heard: {diagnoses[0][1].text}")
-        else:
-            self._certain = None
-
-    def _evidence(self, awaited: Awaited) -> Evidence:
-        return Evidence(self._node, awaited, self._start, self._by_stamp, self._senses, self._heard)
+            for topic, _, text in waits:
+                self._say(f"waiting for {topic} ({waited:.0f} s): {text}")
+        if certain is None or certain != self._certain:
+            self._certain, self._certain_since = certain, now
+        elif now - self._certain_since >= _CERTAIN_AFTER:
+            raise AssessmentError(f"the car controller is not heard: {waits[0][2]}")
 
     def _listen(self, seen: Evidence) -> None:
         topic, kind = seen.awaited
         if any(one.kind == kind for one in seen.publishers):
             self._hear(topic, kind)
-        if topic == self._awaited[0].topic:
-            for name, publisher in seen.candidates:
-                self._hear(name, publisher.kind)
+        for name, publisher in seen.candidates:
+            self._hear(name, publisher.kind)
 
     def _hear(self, topic: str, kind: str) -> None:
         message = class_of(kind)

@@ -25,6 +25,7 @@ from skd_sim.ros.from_messages import from_stamp
 from skd_sim.ros.simulator_node import TABLES as SIMULATOR_TABLES
 from skd_sim.ros.simulator_node import GraphSimulator
 from skd_sim.ros.support import STREAM, declare, run_node
+from skd_sim.ros.to_messages import to_orientation
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.carla import (
     ADVERSARY,
@@ -241,14 +242,11 @@ class CarlaFrames:
 
     def _put(self, role: str, x: float, y: float, heading: float, height: float) -> None:
         """Ask for an actor to be at a place of the crossing's frame (m), at a height on the map (m)."""
-        place = self._placement.point_to_map(x, y)
-        self._publisher(role).publish(self._pose(*place, height, heading + self._placement.yaw))
-
-    def _pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
         pose = Pose()
-        pose.position.x, pose.position.y, pose.position.z = x, y, z
-        pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
-        return pose
+        pose.position.x, pose.position.y = self._placement.point_to_map(x, y)
+        pose.position.z = height
+        pose.orientation = to_orientation(heading + self._placement.yaw)
+        self._publisher(role).publish(pose)
 
     def _next_frame(self, begun: float, limit: float, kind: AbortKind, what: str) -> States:
         """Step once and return the frame that comes.
