@@ -26,6 +26,7 @@ from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.margins import Margins, optimality_gap
+from skd_evaluator.metrics.price_of_caution import PriceOfCaution
 from skd_evaluator.metrics.risks import Risks
 from skd_evaluator.metrics.sample_size import UntilWidth
 from skd_evaluator.metrics.statistics import Interval
@@ -51,6 +52,8 @@ class Assessment:
         margin_note: why the margin is not known; else empty.
         risks: the risk; None where it is not known.
         risk_note: why the risk is not known; else empty.
+        price: what caution costs; None: not known.
+        price_note: why not; else empty.
         equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
         equivalent_note: how it was found, or why there is none.
         budgets: how often kamikazes were hit that were bounded in their deviation, if that was requested.
@@ -72,6 +75,8 @@ class Assessment:
     margin_note: str = ""
     risks: Risks | None = None
     risk_note: str = ""
+    price: PriceOfCaution | None = None
+    price_note: str = ""
     equivalent: EquivalentMultiplier | None = None
     equivalent_note: str = ""
     budgets: tuple[BudgetPoint, ...] = ()
@@ -237,8 +242,8 @@ class Assessment:
         At the top `skd` and what belongs to it are those of the paper's objective and `deviation` that of objective
         `deviation`, or both of the only objective that ran; under `objectives` are all figures of each.
         """
-        subjects: dict[Of, Any] = {Of.MARGIN: self.margins, Of.RISK: self.risks, Of.CAR: self, Of.SETTING: self}
-        subjects |= {Of.RANKING: self.for_deviation, Of.SKD: self.for_skd}
+        subjects: dict[Of, Any] = {Of.MARGIN: self.margins, Of.RISK: self.risks, Of.PRICE: self.price}
+        subjects |= {Of.CAR: self, Of.SETTING: self, Of.RANKING: self.for_deviation, Of.SKD: self.for_skd}
         return entries(AT_THE_TOP.values(), subjects)
 
     def clustering(self) -> dict[str, Any]:

@@ -30,13 +30,14 @@ CI95, THESE_PHI = "ci95", "ci95_these_phi"
 class Of(Enum):
     """What a figure is computed of, which says where it stands.
 
-    At the top stand those of the margin (`Margins`), of the risk (`Risks`), of the car and settings, which no gate
+    At the top stand those of the margin (`Margins`), of the risk (`Risks`), of caution
+    (`PriceOfCaution`), of the car and settings, which no gate
     may ask for (both of `Assessment`). Those of the deviation, by which planned kamikazes rank cars, and of SKD stand
     under each objective (of `ObjectiveResult`), and at the top those of the kamikazes that rank the car, or that SKD is
     of; those of an objective stand there alone. In the rows of each φ stand those of φ; of PHI_TOP at the top alone.
     """
 
-    MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP, RISK = range(9)
+    MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP, RISK, PRICE = range(10)
 
 
 class Better(StrEnum):
@@ -85,6 +86,7 @@ def _each(schema: Schema) -> Kind:
 
 LENGTH, NUMBER = Kind(ref("number_or_null"), "m"), Kind(ref("number_or_null"))
 SPEED, RATIO = Kind(ref("number_or_null"), "m/s", 2), Kind(ref("number_or_null"), digits=2)
+TIME = Kind(ref("number_or_null"), "s", 2)
 SHARE = Kind(ref("rate"), "%", 1)
 PROBABILITY = Kind(ref("rate"), digits=2)  # significant ones: it may be very small
 SPEEDS = Kind(or_null(ref("speeds")), "m/s", 1)  # their mean and 90 % quantile
@@ -203,7 +205,7 @@ _OF_INDEPENDENT = "95 % interval of it, trials or pairs taken as independent"
 _OF_THESE_PHI = "95 % interval of the estimate, for these φ"
 _WILSON = "Wilson's 95 % interval, episodes taken as independent"
 _MARGIN, _DEVIATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
-_RISK = Of.RISK
+_RISK, _PRICE = Of.RISK, Of.PRICE
 _MORE, _LESS = Better.MORE, Better.LESS
 _RATE: dict[str, Any] = {
     "by_phi": lambda o: _interval(o.clustered_success_rate),
@@ -267,6 +269,24 @@ FIGURES = (
     Figure("risk", Kind(or_null(ref("risk"))), lambda r: r.as_dict(),
            "by which behaviour model, and how it was estimated", _RISK),
     Figure("risk_note", TEXT, lambda a: a.risk_note, "why the risk is not known", recomputed=False, campaign=29),
+    Figure("time_lost", TIME, lambda p: p.time_lost,
+           "mean time that the car loses on a road user who is in nobody's way, s", _PRICE,
+           "price of caution, time lost", _LESS, independent=CI95, plain=lambda p: p.time_lost_ci95,
+           recomputed=False, summary=14, first=True, campaign=30, compare=28, junit=13),
+    Figure("deadlock", SHARE, lambda p: p.deadlock,
+           "share of these runs in which the car has not got past after 30 s", _PRICE, "does not get past", _LESS,
+           independent=CI95, plain=lambda p: p.deadlock_ci95, recomputed=False, summary=15, details=7, campaign=31,
+           compare=29),
+    Figure("needless", SHARE, lambda p: p.needless,
+           "share of these runs in which the car brakes by 0.25 g or more for 0.2 s, and not with the road to itself",
+           _PRICE, "needless hard braking", _LESS, independent=CI95, plain=lambda p: p.needless_ci95, recomputed=False,
+           summary=16, details=8, campaign=32, compare=30),
+    Figure("slow", TIME, lambda p: p.slow, "mean time that the car takes longer than at its start speed with the road "
+           "to itself, s", _PRICE, "slower than at its start speed", _LESS, independent=CI95,
+           plain=lambda p: p.slow_ci95, recomputed=False, details=9, campaign=33, compare=31),
+    Figure("price_of_caution", Kind(or_null(ref("price_of_caution"))), lambda p: p.as_dict(),
+           "the runs behind it", _PRICE, recomputed=False),
+    Figure("price_note", TEXT, lambda a: a.price_note, "why the price of caution is not known", recomputed=False),
     Figure("margin_note", TEXT, lambda a: a.margin_note, "why the margin is not known",
            recomputed=False, compare=5),
     Figure("optimality_gap", RATIO, lambda a: a.optimality_gap()[0],

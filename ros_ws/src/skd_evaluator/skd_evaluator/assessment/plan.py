@@ -47,6 +47,7 @@ class Stage(IntEnum):
     PROBE = 3
     LEARNING = 4
     RISK = 5
+    PRICE = 6
 
 
 STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.NOMINAL}

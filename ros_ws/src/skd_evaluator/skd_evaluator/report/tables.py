@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
+from skd_evaluator.metrics.price_of_caution import DEADLOCK
 from skd_evaluator.report.formats import BARE, TERMINAL
 from skd_evaluator.report.terminal import bounded_cell, credibility, narrow_table
 
@@ -29,7 +30,8 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         ranked_by: figure by which cars are in order, the most vulnerable one first; None: in the order given.
     """
     order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
-    heads = ("car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "equivalent\nmultiplier")
+    heads = ["car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "time\nlost (s)"]
+    heads.append("equivalent\nmultiplier")
     cells = [
         [
             f"{escape(row['car'])}{credibility_mark(row)}",
@@ -37,11 +39,17 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
             _interval(row["margin_ci95"], 2),
             TERMINAL.share(row["nominal_collision_rate"]),
             TERMINAL.probability(row["risk_1"]),
+            _number(row.get("time_lost"), 1),
             bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
         ]
-        for row in (sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows)
+        for row in (sorted(rows, key=_rank(ranked_by)) if ranked_by else rows)
     ]
     return narrow_table(f"Side by side{order}", heads, cells)
+
+
+def _rank(ranked_by: str) -> Callable[[Mapping[str, Any]], tuple[bool, float]]:
+    """Return the order of cars: a greater figure is safer, but not of a car that does not get past people."""
+    return lambda row: ((row.get("deadlock_ci95") or (0.0,))[0] <= DEADLOCK, float(row[ranked_by]))
 
 
 _RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deviation")}

@@ -92,7 +92,7 @@ def _trajectories(result: Mapping[str, Any]) -> str:
     return f"{counted(count, 'trajectory')}" + ("" if distinct == count else f" ({distinct} distinct)")
 
 
-_HEADLINE = ("margin", "nominal_collision_rate", "impact_speed", "risk_1", "price_of_caution")
+_HEADLINE = ("margin", "nominal_collision_rate", "impact_speed", "risk_1", "time_lost")
 
 
 def headline_table(result: Mapping[str, Any]) -> Table:
@@ -103,9 +103,8 @@ def headline_table(result: Mapping[str, Any]) -> Table:
         if figure is None or (value := TERMINAL.value(figure, result)) == TERMINAL.nothing:
             continue
         unit = "" if figure.kind.unit in ("", "%") else f" {figure.kind.unit}"
-        interval = TERMINAL.by_phi(figure, result)
-        if interval == TERMINAL.nothing:
-            interval = ninety(figure, result)
+        intervals = (TERMINAL.by_phi(figure, result), TERMINAL.independent(figure, result))
+        interval = next((one for one in intervals if one != TERMINAL.nothing), ninety(figure, result))
         table.add_row(f"{figure.label}{_beside(key, result)}  ", f"[bold]{value}{unit}[/]  ", escape(interval))
     return table
 
@@ -126,6 +125,8 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
         return f", {_how_sure(result) if result['margin_converged'] else '[red]not converged[/]'}"
     if key == "nominal_collision_rate":
         return f", {counted(result['collision_runs'], 'run')}"
+    if key == "time_lost" and result["deadlock"]:
+        return f", [red]does not get past in {_percent(result['deadlock'])}[/]"
     return ", people as they walk" if key == "risk_1" else ""
 
 

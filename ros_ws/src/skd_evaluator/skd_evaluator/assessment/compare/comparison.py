@@ -6,6 +6,9 @@ other way: what is no longer a tie need not be told apart to raise a doubt. Figu
 and adversary: they are compared only if adversary model and objective were the same. Then they may object: if planned
 deviations surely say the opposite of the margins, the cars are not told apart.
 
+Safety has a price (`metrics/price_of_caution.py`), which the verdict names; a car that does not get past people is not
+called safer.
+
 A margin whose search has not converged is an upper bound: a car of which no more is known is never the safer one. What
 a search may have missed is part of the interval of the difference.
 """
@@ -35,10 +38,12 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP, Better, Of, shown_
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, stopped_at
+from skd_evaluator.metrics.price_of_caution import stored_price
 from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
+KEEPS_OUT = "leaves room only because it does not get past people"
 MARGIN, DEVIATION = "margin", "deviation"
 RANKING_RISK = f"risk_{RANKS:g}"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
@@ -88,11 +93,43 @@ class Comparison:
         judge = self.judged_by
         if judge is None:
             return NOT_COMPARED
+        if self._keeps_out:
+            return self._keeps_out
         says = set(self._sure.values())
         if self.disagree or len(says) != 1 or self.opposed:
             return NOT_TOLD_APART
         said = says.pop()
-        return NOT_TOLD_APART if self.is_bound[said > 0] else _VERDICTS[said]
+        return NOT_TOLD_APART if self.is_bound[said > 0] else self._priced(said)
+
+    def _priced(self, said: int) -> str:
+        """Return the verdict that the second car is safer (1) or less safe (−1), with what that costs."""
+        cost = self.price
+        if cost is None or said * cost.direction <= 0:
+            return _VERDICTS[said]
+        if said > 0:
+            return f"{SAFER} at the price of {cost.value:.1f} s for each harmless encounter"
+        return f"{LESS_SAFE}, and {-cost.value:.1f} s quicker for each harmless encounter"
+
+    @property
+    def _keeps_out(self) -> str:
+        """That one car has the greater figure, and alone does not get past people; else empty."""
+        prices = (stored_price(one.figures) for one in (self.first, self.second))
+        first, second = (one is not None and one.does_not_get_past for one in prices)
+        judge = self.judged_by
+        leaning = 0 if judge is None else _SIGNS[judge] * self.differences[judge].leaning
+        if second and not first and leaning > 0:
+            return KEEPS_OUT
+        return f"the other {KEEPS_OUT}" if first and not second and leaning < 0 else ""
+
+    @property
+    def price(self) -> Difference | None:
+        """How much later the second car gets past a harmless road user than the first, s; None where not known."""
+        first, second = stored_price(self.first.figures), stored_price(self.second.figures)
+        if first is None or second is None:
+            return None
+        times = [[[run.passed - run.unslowed] for run in one.runs] for one in (first, second)]
+        same = self.first.figures["seed"] == self.second.figures["seed"] and len(first.runs) == len(second.runs)
+        return difference(*times, paired=same)
 
     @property
     def is_bound(self) -> tuple[bool, bool]:
@@ -174,6 +211,7 @@ class Comparison:
             "refusals": list(self.refusals),
             "planned_refusal": self.planned_refusal,
             "differences": {name: one.as_dict() for name, one in self.differences.items()},
+            "price": self.price and self.price.as_dict(),
         }
 
 

@@ -115,6 +115,14 @@ def _definitions() -> dict[str, Any]:
                         deviation=_said(_NUMBER, "from φ, in standard deviations of people"),
                         people=_said(_SHARE, "share of people who deviate as much or more"),
                         impact_speed=_said(_NUMBER, "m/s"))))))), "the most likely failures; null: nobody was hit")),
+        "price_of_caution": _object(
+            horizon=_said(_NUMBER, "s after which the car has not got past"),
+            hard_braking=_said(_NUMBER, "m/s², that counts as needless"), aborted=_COUNT,
+            runs=_list(_object(
+                kind=_said(_TEXT, "what the road user does"), passed=_said(_NUMBER, "when the car has got past, s"),
+                undisturbed=_said(_NUMBER, "when it has with the road to itself, s"),
+                unslowed=_said(_NUMBER, "when it would have at its start speed, s"),
+                braked=_said(_FLAG, "whether it braked hard here alone")))),
         "clustering": _object(
             safe_trajectories=_COUNT, values=_COUNT, standard_error=_FIGURE, degrees_of_freedom=_FIGURE,
             variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=_LINES),

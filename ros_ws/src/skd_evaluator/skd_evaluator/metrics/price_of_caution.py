@@ -1,0 +1,155 @@
+"""The price of caution: what a car's safety costs where nothing has to be avoided.
+
+A car that stops for everybody is hit by nobody. So it drives past road users who are in nobody's way, each time with
+the draws of a drive that has the road to itself, and what the two differ by is the price.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+
+from skd_evaluator.metrics.clustered import student_quantile
+from skd_evaluator.metrics.statistics import Interval, mean, sample_variance, wilson_interval
+
+HORIZON: Final = 30.0
+"""s after which a car that has not passed is taken for one that never will."""
+HARD_BRAKING: Final = 2.45
+"""m/s², 0.25 g: braking that FMVSS 127 (Federal Register 2024-09054) calls a false activation."""
+BRAKING_LASTS: Final = 0.2
+"""s for which it lasts, at least."""
+DEADLOCK: Final = 0.05
+"""Share of harmless runs without getting past, above which a car is said not to get past people."""
+
+
+class HarmlessRun(NamedTuple):
+    """A drive past a road user who is in nobody's way, beside the same drive with the road to itself.
+
+    Attributes:
+        kind: what the road user does.
+        passed: time at which the car had passed, s; `HORIZON` where it had not by then.
+        undisturbed: the same with the road to itself, s.
+        unslowed: the same at the start speed, s.
+        braked: whether it braked hard here alone.
+    """
+
+    kind: str
+    passed: float
+    undisturbed: float
+    unslowed: float
+    braked: bool
+
+
+@dataclass(frozen=True)
+class PriceOfCaution:
+    """What caution costs a car.
+
+    Attributes:
+        runs: harmless runs that were not aborted, at least one.
+        aborted: how many were.
+    """
+
+    runs: tuple[HarmlessRun, ...]
+    aborted: int = 0
+
+    @cached_property
+    def lost(self) -> FloatArray:
+        """Time that each run lost, s."""
+        return np.array([one.passed - one.undisturbed for one in self.runs])
+
+    @property
+    def time_lost(self) -> float:
+        """Mean time lost in a harmless run, s."""
+        return mean(self.lost)
+
+    @property
+    def time_lost_ci95(self) -> Interval | None:
+        """95 % interval of it: draws are independent within each kind; None where a kind has a single run."""
+        return stratified_interval([one.kind for one in self.runs], self.lost)
+
+    @property
+    def slow(self) -> float:
+        """Mean time by which the undisturbed car is later than at its start speed, s."""
+        return mean([one.undisturbed - one.unslowed for one in self.runs])
+
+    @property
+    def slow_ci95(self) -> Interval | None:
+        """95 % interval of it."""
+        values = np.array([one.undisturbed - one.unslowed for one in self.runs])
+        return stratified_interval([""] * len(values), values)
+
+    @property
+    def needless(self) -> float:
+        """Share of the runs in which the car brakes hard for a road user who is in nobody's way."""
+        return sum(one.braked for one in self.runs) / len(self.runs)
+
+    @property
+    def needless_ci95(self) -> Interval | None:
+        """Wilson's 95 % interval of it."""
+        return wilson_interval(sum(one.braked for one in self.runs), len(self.runs))
+
+    @property
+    def deadlocks(self) -> int:
+        """Runs in which the car has not passed after `HORIZON`."""
+        return sum(one.passed >= HORIZON for one in self.runs)
+
+    @property
+    def deadlock(self) -> float:
+        """Share of the runs in which the car has not passed after `HORIZON`."""
+        return self.deadlocks / len(self.runs)
+
+    @property
+    def deadlock_ci95(self) -> Interval | None:
+        """Wilson's 95 % interval of it."""
+        return wilson_interval(self.deadlocks, len(self.runs))
+
+    @property
+    def does_not_get_past(self) -> bool:
+        """Whether the car surely does not get past people, in more than `DEADLOCK` of the runs."""
+        interval = self.deadlock_ci95
+        return interval is not None and interval[0] > DEADLOCK
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry `price_of_caution` of assessment.json."""
+        return {
+            "horizon": HORIZON,
+            "hard_braking": HARD_BRAKING,
+            "aborted": self.aborted,
+            "runs": [one._asdict() for one in self.runs],
+        }
+
+
+def stored_price(figures: Mapping[str, Any]) -> PriceOfCaution | None:
+    """Return the price that the content of assessment.json has; None where it is not known."""
+    entry = figures.get("price_of_caution")
+    return entry and PriceOfCaution(tuple(HarmlessRun(**one) for one in entry["runs"]), entry["aborted"])
+
+
+def stratified_interval(kinds: Sequence[str], values: FloatArray) -> Interval | None:
+    """Return the 95 % interval of a mean over strata, each with the share that it has of the values.
+
+    Student's t with Satterthwaite's degrees of freedom (Cochran, Sampling Techniques, 3rd ed. 1977, section 5.4). The
+    end on the side of the skewness is moved out by the term of Cornish and Fisher's expansion (Johnson, Journal of the
+    American Statistical Association 73, 1978). None where a stratum has a single value.
+    """
+    squares, cubes, freedom = [], [], 0.0
+    for kind in dict.fromkeys(kinds):
+        group = values[[one == kind for one in kinds]]
+        variance, share = sample_variance(group), group.size / values.size
+        if variance is None:
+            return None
+        squares.append(share**2 * variance / group.size)
+        cubes.append(share**3 * mean((group - mean(group)) ** 3) / group.size**2)
+        freedom += squares[-1] ** 2 / (group.size - 1)
+    centre, square = mean(values), math.fsum(squares)
+    if square == 0.0:
+        return centre, centre
+    quantile = student_quantile(square**2 / freedom, 0.95)
+    half, skew = quantile * math.sqrt(square), math.fsum(cubes) / (6.0 * square) * (1.0 + 2.0 * quantile**2)
+    return centre - half + min(0.0, skew), centre + half + max(0.0, skew)

@@ -1,0 +1,188 @@
+"""The price of caution: closed forms of its figures, and cars of which it is known."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, why_no_price
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
+from skd_evaluator.metrics.price_of_caution import HORIZON, HarmlessRun, PriceOfCaution, stratified_interval
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+
+COUNT = 20
+
+CARS = """
+class Car:
+    def reset(self, scenario, rng):
+        pass
+
+class Never(Car):
+    def command(self, car, adversary):
+        return 0.0
+
+class BrakesForEverybody(Car):
+    def command(self, car, adversary):
+        return -3.5 if adversary.y > car.y - 10.0 else 0.0
+
+class HalfSpeed(Car):
+    def command(self, car, adversary):
+        return max(-3.5, min(2.0, (25.0 / 6.0 - car.speed) / 0.3))
+
+class BrakesByTimeToCollision(Car):
+    def command(self, car, adversary):
+        gap = adversary.y - car.y - 2.25
+        if gap < 0.0 or car.speed <= 0.0:
+            return 0.0
+        time = gap / car.speed
+        return -7.0 if time < 1.4 and abs(adversary.x + adversary.vx * time) < 1.5 else 0.0
+
+class StopsForWhoIsNear(Car):
+    def command(self, car, adversary):
+        gap = adversary.y - car.y - 2.25
+        near = 0.0 < gap < 15.0 and abs(adversary.x) < 4.0
+        return -3.0 if near else max(0.0, min(2.0, 8.0 - car.speed))
+"""
+
+
+class Recorded(InProcessRunner):
+    """A runner that keeps its logs."""
+
+    def __init__(self) -> None:
+        """Keep them."""
+        super().__init__(1)
+        self.logs: list[EpisodeLog] = []
+
+    def run(self, episodes: list[EpisodeSpec]) -> list[EpisodeLog]:  # type: ignore[override]
+        """Run and keep."""
+        found = list(super().run(episodes))
+        self.logs += found
+        return found
+
+
+@pytest.fixture(scope="module")
+def cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cars") / "cars.py"
+    path.write_text(CARS)
+    return path
+
+
+def price_of(controller: str, scenario: str = "crossing", runner: InProcessRunner | None = None) -> PriceOfCaution:
+    plan = Plan(controller=controller, scenario=load_scenario(scenario), safe_count=5, seed=3)
+    with runner or InProcessRunner(1) as running:
+        running.start([])
+        found = price_of_caution(plan, safe_trajectories(plan, running), running, COUNT)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(
+    ("car", "lost", "needless", "deadlock"),
+    [
+        ("Never", 0.0, 0.0, 0.0),
+        ("BrakesByTimeToCollision", 0.0, 0.0, 0.0),
+        ("HalfSpeed", 0.0, 0.0, 0.0),
+        ("BrakesForEverybody", 24.3, 1.0, 1.0),
+    ],
+)
+def test_the_price_of_a_car_is_what_its_rule_says(
+    cars: Path, car: str, lost: float, needless: float, deadlock: float
+) -> None:
+    found = price_of(f"{cars}:{car}")
+    assert found.time_lost == pytest.approx(lost, abs=0.5 if lost else 0.0)
+    assert (found.needless, found.deadlock) == (needless, deadlock)
+    assert found.does_not_get_past == (deadlock == 1.0)
+
+
+def test_half_speed_is_slow_by_as_much_as_the_way_takes_at_full_speed(cars: Path) -> None:
+    found = price_of(f"{cars}:HalfSpeed")
+    at_full = np.mean([one.unslowed for one in found.runs])
+    braking = (25 / 3 - 25 / 6) / 3.5 * 0.25  # of the way gained until it is at half speed, s of full speed
+    assert found.slow == pytest.approx(at_full - braking, abs=0.4)
+
+
+def test_a_car_that_stops_loses_time_beside_those_who_stand_near_its_lane_alone(cars: Path) -> None:
+    found = price_of(f"{cars}:StopsForWhoIsNear")
+    lost = {kind: [x.passed - x.undisturbed for x in found.runs if x.kind == kind] for kind in KINDS}
+    assert min(lost["waits"]) > 1.0
+    assert max(lost["goes away"]) == 0.0
+
+
+@pytest.mark.parametrize("scenario", ["crossing", "cyclist", "child", "right_turn", "cpla"])
+def test_who_crosses_is_clear_of_the_undisturbed_car(cars: Path, scenario: str) -> None:
+    runner = Recorded()
+    found = price_of(f"{cars}:Never", scenario, runner)
+    assert not any(one.braked for one in found.runs)
+    assert found.time_lost == pytest.approx(0.0, abs=1e-12)  # nobody was hit
+    logs = [log for log in runner.logs if split_episode_id(log.episode.episode_id)[0] == Stage.PRICE]
+    undisturbed, harmless = logs[:COUNT], logs[COUNT:]
+    for alone, log in zip(undisturbed, harmless, strict=True):
+        assert np.array_equal(alone.car[: len(log.car)], log.car[: len(alone.car)])
+        spec, step = log.episode.scenario, log.episode.scenario.time_step
+        car = right_and_along(spec.road.line, np.ascontiguousarray(log.car[:, :2]))[:, 1]
+        user = right_and_along(spec.road.line, log.adversary)
+        inside = np.flatnonzero(np.abs(user[:, 0]) <= spec.path_edge)
+        for tick in inside.tolist():
+            ahead = car - user[tick, 1]
+            near = np.flatnonzero((ahead > -spec.car.front) & (ahead < spec.car.rear))
+            assert not near.size or np.abs(near - tick).min() * step > CLEAR - 2 * step
+
+
+def test_where_phi_go_along_the_lane_nobody_crosses(cars: Path) -> None:
+    assert {one.kind for one in price_of(f"{cars}:Never", "cpla").runs} == set(KINDS[:3])
+
+
+def test_one_worker_or_two_give_the_same_price(cars: Path) -> None:
+    controller = f"{cars}:StopsForWhoIsNear"
+    assert price_of(controller) == price_of(controller, runner=InProcessRunner(2))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "repeats", "said"), [("ccrs", True, "pedestrians and cyclists"), ("crossing", False, "in lockstep")]
+)
+def test_why_there_is_no_price(scenario: str, repeats: bool, said: str) -> None:
+    assert said in why_no_price(Plan(scenario=load_scenario(scenario)), repeats=repeats)
+
+
+def made(lost: list[float], kinds: list[str]) -> PriceOfCaution:
+    return PriceOfCaution(tuple(HarmlessRun(k, 6.0 + x, 6.0, 5.5, x > 1.0) for x, k in zip(lost, kinds, strict=True)))
+
+
+def test_the_interval_of_one_kind_is_students() -> None:
+    values = [0.0, 1.0, 3.0, 4.0]
+    expected = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
+    assert made(values, ["waits"] * 4).time_lost_ci95 == pytest.approx(expected)
+
+
+def test_kinds_that_differ_do_not_widen_the_interval() -> None:
+    rng = np.random.default_rng(5)
+    kinds = ["waits", "crosses before"] * 20
+    noise = rng.normal(0.0, 1.0, 40)
+    steps = noise + np.where(np.array(kinds) == "waits", 20.0, 0.0)
+    narrow, same = stratified_interval(kinds, steps), stratified_interval(kinds, noise)
+    assert narrow is not None
+    assert same is not None
+    assert narrow[1] - narrow[0] == pytest.approx(same[1] - same[0])
+
+
+def test_intervals_of_the_time_lost_hold_the_mean() -> None:
+    rng, kinds = np.random.default_rng(1), list(KINDS) * 12
+    means, spread = np.arange(5.0), np.array([0.5, 3.0, 1.0, 0.2, 2.0])
+    truth, held = float(means.mean()), 0
+    for _ in range(2000):
+        values = np.tile(means, 12) + np.tile(spread, 12) * (rng.exponential(1.0, 60) - 1.0)
+        low, high = stratified_interval(kinds, values) or (math.nan, math.nan)
+        held += low <= truth <= high
+    assert 0.93 <= held / 2000 <= 0.97
+
+
+def test_who_never_gets_past_counts_the_whole_horizon() -> None:
+    runs = PriceOfCaution((HarmlessRun("waits", HORIZON, 6.0, 5.5, True),) * 10)
+    assert (runs.time_lost, runs.deadlock, runs.slow) == (24.0, 1.0, 0.5)
