@@ -107,8 +107,8 @@ class Comparison:
         if cost is None or said * cost.direction <= 0:
             return _VERDICTS[said]
         if said > 0:
-            return f"{SAFER} at the price of {cost.value:.1f} s for each harmless encounter"
-        return f"{LESS_SAFE}, and {-cost.value:.1f} s quicker for each harmless encounter"
+            return f"{SAFER} at the price of {cost.value:.1f} s for each harmless road user"
+        return f"{LESS_SAFE}, and {-cost.value:.1f} s quicker for each harmless road user"
 
     @property
     def _keeps_out(self) -> str:
