@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contacts import Run, counted, run_of, side_of_contact
+from contacts import Run, run_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely import box, distance, points
@@ -87,14 +87,6 @@ def test_the_moment_at_which_he_is_too_late_for_the_front_is_that_of_the_closed_
             assert run_of(run(phi)) == expected, (at, off)
 
 
-def test_who_stands_in_the_way_is_hit_by_the_front_and_who_runs_after_a_slow_car_touches_its_rear():
-    stands = Trajectory(np.tile([[0.5, 3.0]], (20, 1)), 0.3)
-    assert run_of(run(stands)) == Run.FRONT
-    slow = replace(STEADY, car=replace(STEADY.car, start_speed=1.0, start_gap=2.0))
-    runs = Trajectory(np.column_stack([np.zeros(30), -12.0 + 0.75 * np.arange(30)]), 0.3)
-    assert run_of(run(runs, slow)) == Run.REAR
-
-
 def test_a_touch_of_a_car_slower_than_the_hit_speed_is_no_hit():
     creeps = replace(STEADY, car=replace(STEADY.car, start_speed=0.5, start_gap=1.0))
     stands = Trajectory(np.tile([[0.0, 0.0]], (20, 1)), 0.3)
@@ -102,15 +94,3 @@ def test_a_touch_of_a_car_slower_than_the_hit_speed_is_no_hit():
     assert (log.outcome, run_of(log)) == (Outcome.COLLISION, Run.SLOW)
     rolls = replace(STEADY, car=replace(STEADY.car, start_speed=0.6, start_gap=1.0))
     assert run_of(run(stands, rolls)) == Run.FRONT
-
-
-@pytest.mark.parametrize(
-    ("ahead", "left", "side"), [(2.4, 1.0, Run.FRONT), (1.0, -1.15, Run.FLANK), (-2.4, 0, Run.REAR)]
-)
-def test_corners_belong_to_front_and_rear(ahead, left, side):
-    assert side_of_contact(ahead, left, HALF_WIDTH, RADIUS) == side
-
-
-def test_letters_are_counted():
-    np.testing.assert_array_equal(counted("F.LsF", Run.FRONT), [True, False, False, False, True])
-    np.testing.assert_array_equal(counted("F.LsR", Run.FLANK, Run.REAR), [False, False, True, False, True])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from cars.catalogue import CARS
@@ -20,7 +18,6 @@ from skd_sim.world.state import Trajectory
 from wide_scenarios import (
     ALONG_THE_ROAD,
     EARLIER_OR_LATER,
-    LONGEST_PAUSE,
     PACES,
     TRUTHS,
     Manner,
@@ -61,31 +58,11 @@ def test_every_car_meets_the_same_adversaries_within_the_stated_ranges():
     assert np.ptp(starts) > 1.8 * ALONG_THE_ROAD
 
 
-def test_a_pace_that_changes_does_so_on_the_way():
-    path = walked(ACROSS, delay=0.0, pace=1.0, along=0.0, ticks=40, change=(0.5, 0.5))
-    np.testing.assert_allclose(path.positions[:5], ACROSS.positions[:5])
-    np.testing.assert_allclose(path.positions[4:13:2], ACROSS.positions[4:])
-
-
 def test_who_hesitates_stands_for_as_long_and_goes_on():
     path = walked(ACROSS, delay=0.0, pace=1.0, along=0.0, ticks=40, pause=(0.5, 2 * CROSSING.time_step))
     np.testing.assert_allclose(path.positions[:5], ACROSS.positions[:5])
     np.testing.assert_allclose(path.positions[4:7], [ACROSS.positions[4]] * 3)
     np.testing.assert_allclose(path.positions[6:11], ACROSS.positions[4:])
-
-
-def test_the_ways_to_walk_share_their_other_draws():
-    plain, hesitating = (
-        scenarios(CARS[0], [ACROSS], range(50), seed=3, manner=manner) for manner in (Manner.WIDE, Manner.HESITATING)
-    )
-    for first, second in zip(plain, hesitating, strict=True):
-        assert first.safe_trajectory is not None
-        assert second.safe_trajectory is not None
-        one, other = first.safe_trajectory.positions, second.safe_trajectory.positions
-        assert one[0, 1] == other[0, 1]
-        assert 0 <= len(other) - len(one) <= LONGEST_PAUSE / CROSSING.time_step + 1
-        shared = min(len(one), len(other))
-        assert (other[:shared, 0] <= one[:shared, 0] + 1e-9).all()
 
 
 def test_a_car_with_a_clock_of_its_own_gets_a_letter_a_run_that_no_number_of_workers_changes():
@@ -117,17 +94,6 @@ def test_only_pairs_that_every_truth_orders_alike_count():
 
     assert agreed_pairs([hit(0, 10, 20), hit(10, 20, 0)]) == [Pair(0, 1)]
     assert agreed_pairs([hit(20, 10, 0)]) == [Pair(1, 0), Pair(2, 0), Pair(2, 1)]
-
-
-def test_shares_are_those_that_one_counts_by_hand():
-    pairs = [Pair(0, 1), Pair(0, 2), Pair(1, 2)]
-    right = ordered_share(pairs, {0: 3.0, 1: 2.0, 2: 1.0}, +1)
-    assert (right.value, right.exceptions, right.interval) == (1.0, (), (1.0, 1.0))
-    assert ordered_share(pairs, {0: 3.0, 1: 2.0, 2: 1.0}, -1).value == 0.0
-    tied = ordered_share(pairs, {0: 3.0, 1: 1.0, 2: 1.0}, +1)
-    assert (tied.right, tied.exceptions) == (2, (Pair(1, 2),))
-    assert ordered_share(pairs, {0: 3.0, 1: 1.0}, +1).pairs == 1
-    assert math.isnan(ordered_share([], {}, +1).value)
 
 
 def test_the_interval_over_cars_is_wider_than_one_over_pairs_where_one_car_is_wrong():

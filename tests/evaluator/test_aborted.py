@@ -20,6 +20,7 @@ from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
+from skd_evaluator.report.presentation import aborted_lines as presented_lines
 from skd_evaluator.report.presentation import too_many_aborted, why_failed
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, SubsetEffort, levels_of
@@ -231,3 +232,15 @@ def test_aborted_bounded_kamikazes_are_counted() -> None:
     assert (point.trials, point.aborted) == (9, 1)
     every = BudgetPoint(0.5, 0, 0, 3)
     assert (every.probability, budget_points([every])) == (None, [every])
+
+
+def test_bounded_kamikazes_that_were_aborted_fail_an_assessment_and_no_gate_passes_by_them() -> None:
+    """Two of ten: their share is 4/8, and 6/10 at worst."""
+    found = replace(rating(0), budgets=(BudgetPoint(0.5, 4, 8, 2),))
+    assert too_many_aborted(found, 0.2) is None
+    assert "2 of 10 kamikazes held to η = 0.5 m" in why_failed(found, 0.05)[0]
+    (line,) = presented_lines(found)
+    assert line.endswith("the share of these that are hit would be 60.0 % in place of 50.0 %")
+    name = "vulnerability_curve.budgets.0.probability"
+    checks = [check_limits(found.as_dict(), [Limit(name, most, is_least=False)])[0] for most in (0.61, 0.55, 0.49)]
+    assert [(one.failed, one.error) for one in checks] == [(False, False), (False, True), (True, False)]

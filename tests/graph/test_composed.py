@@ -29,7 +29,6 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.options.car_under_test import WORLD
 from skd_sim.ros import support
 from skd_sim.ros.commands import message_class
 from skd_sim.ros.from_messages import from_stamp
@@ -180,20 +179,6 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     options = GraphOptions(command_timeout=30.0, nodes="composed")
     with whole_graph(folder, options, record_to=folder / "bags", domain=domain) as (evaluator, token):
         yield Graph(evaluator, token, domain, folder)
-
-
-@pytest.mark.parametrize(
-    ("changes", "simulator", "composed"),
-    [
-        ({}, WORLD, True),
-        ({"nodes": "separate"}, WORLD, False),
-        ({"pacing": "real_time"}, WORLD, False),
-        ({"quiet_time": 0.1}, WORLD, False),
-        ({}, "somebody's", False),
-    ],
-)
-def test_where_nodes_run(changes: dict[str, Any], simulator: str, composed: bool) -> None:
-    assert GraphOptions(**{"nodes": "composed", **changes}).composes(simulator) == composed
 
 
 def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: EpisodeSpec, replay: EpisodeSpec) -> None:

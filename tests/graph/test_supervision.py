@@ -1,19 +1,29 @@
-"""Processes that cannot start, and those that hang."""
+"""Processes that cannot start or hang, and states that are lost or contradict the world."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import shlex
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
-from common import wait_until
+from common import PATIENCE, wait_until
+from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import of_node, whole_graph
 from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.ros import evaluator as evaluator_module
+from skd_evaluator.ros.evaluator import Evaluator, refuted
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
+from skd_sim.world.state import CarState
 
 
 @pytest.mark.parametrize(
@@ -52,3 +62,47 @@ def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episod
         assert log.outcome == Outcome.ABORTED
         assert kind_of(log.reason) == AbortKind.NO_ANSWER
         assert of_node(token, "'hangs'") != hanging
+
+
+@contextmanager
+def graph(context: ForkServerContext, domain: int, folder: Path) -> Iterator[Evaluator]:
+    modules = (SIMULATOR, CONTROLLER, ADVERSARY)
+    nodes = [start_node(context, module, folder / module, domain) for module in modules]
+    with running(*nodes), evaluator(own_world=True) as node:
+        yield node
+
+
+def test_what_is_lost_all_the_same_is_said_and_soon(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluator_module, "_LOST", 1.0)
+    with graph(context, domain, tmp_path) as node:
+        keep, stamps = node._samples.add_car, list[int]()
+
+        def loses_the_third(stamp: int, state: CarState) -> None:
+            if stamp not in stamps:
+                stamps.append(stamp)
+            if stamps.index(stamp) != 2:  # a simulator that waits for a command sends its state again
+                keep(stamp, state)
+
+        monkeypatch.setattr(node._samples, "add_car", loses_the_third)
+        begin = time.monotonic()
+        log = node.run_episode(replay)
+        took = time.monotonic() - begin
+    assert log.outcome == Outcome.ABORTED
+    assert kind_of(log.reason) == AbortKind.LOST
+    assert "the episode ended, and 1 of its " in log.reason
+    assert took < PATIENCE
+
+
+def test_another_simulator_is_not_held_to_the_laws_of_this_world(replay: EpisodeSpec) -> None:
+    """SKD has started either: what follows from the seed is what the simulator that was asked for gives."""
+    log = run_episode(replay)
+    car = log.car.copy()
+    car[2, 3] += 0.2
+    other = dataclasses.replace(log, car=car)
+    said = refuted(other, own_world=True)
+    assert said is not None
+    assert "the car's speed at tick 2" in said
+    elsewhere = dataclasses.replace(replay, simulator="metadrive")
+    assert refuted(dataclasses.replace(other, episode=elsewhere), own_world=True) is None

@@ -11,7 +11,6 @@ import rclpy
 from common import wait_until
 from geometry_msgs.msg import AccelStamped, PoseStamped, Twist
 from nav_msgs.msg import Odometry
-from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
@@ -71,7 +70,6 @@ def stamped(nanoseconds: int) -> AccelStamped:
 
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-PUNCTUAL = QoSProfile(depth=10, deadline=Duration(seconds=0.1))
 HEARS, COMMANDS_IT = listens(Odometry, "/ego/odometry"), publishes(AccelStamped)
 FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {
     "wrong type": ((HEARS, publishes(Twist)), "-p command_type:=twist", {}),
@@ -90,16 +88,9 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {
         "/ego/odometry with a durability that is not offered",
         {},
     ),
-    "quality of service of subscription ": (
-        (COMMANDS_IT, listens(Odometry, "/ego/odometry", PUNCTUAL)),
-        "/ego/odometry with a deadline that is not offered",
-        {},
-    ),
     "zero stamp": ((HEARS, COMMANDS_IT), "-p quiet_time:=0.1 or --pacing real_time", {"newest": 0}),
     "wall clock": ((HEARS, COMMANDS_IT), "set use_sim_time:=true", {"newest": 1_700_000_000 * SECOND}),
     "other stamp": ((HEARS, COMMANDS_IT), "they lag by 3 s: ", {"newest": START - 3 * SECOND}),
-    "other stamp ": ((HEARS, COMMANDS_IT), "they are 1 s ahead: ", {"newest": START + SECOND}),
-    "other stamp  ": ((HEARS, COMMANDS_IT), "they lag by 3 s: ", {"newest": START - 3 * SECOND, "by_stamp": False}),
     "no laser": (
         (COMMANDS_IT, listens(LaserScan, "/ego/scan")),
         "the scenario has no section sensor",
@@ -140,7 +131,7 @@ def test_the_cause_is_found_and_what_mends_it_is_said(graph: Graph, name: str) -
 
     def found() -> bool:
         diagnosis = diagnose(Evidence(graph.watcher, COMMANDS, START, heard=heard, **given))
-        return diagnosis.cause == name.strip() and said in diagnosis.text
+        return diagnosis.cause == name and said in diagnosis.text
 
     wait_until(found, said, timeout=10.0)
 
@@ -164,19 +155,12 @@ def test_nobody_is_there(graph: Graph) -> None:
 
 
 def test_every_cause_is_tried() -> None:
-    assert {one.name for one in CAUSES} == {name.strip() for name in FAULTS} | {
+    assert {one.name for one in CAUSES} == set(FAULTS) | {
         "not active",
         "not there",
         "no adversary",
     }
     assert len(CAUSES) >= 15
-
-
-@pytest.mark.parametrize("newest", [0, START - SECOND // 2, 1_700_000_000 * SECOND])
-def test_with_a_quiet_time_any_of_these_stamps_is_an_answer(graph: Graph, newest: int) -> None:
-    heard = {COMMANDS.topic: Heard(count=1, newest=newest)}
-    assert Evidence(graph.watcher, COMMANDS, START, by_stamp=False, heard=heard).answered
-    assert not Evidence(graph.watcher, COMMANDS, START, by_stamp=True, heard=heard).answered
 
 
 @pytest.mark.parametrize("certain", [True, False])
@@ -209,14 +193,3 @@ def test_a_wait_in_vain_is_given_up(graph: Graph, monkeypatch: pytest.MonkeyPatc
         assert "has not published yet" in lines[-1]
     commands.end()
     assert not list(graph.watcher.subscriptions)
-
-
-def test_a_simulator_that_is_not_there_is_named(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stack_module, "_LOOK_EVERY", 0.0)
-    monkeypatch.setattr(stack_module, "_HINT_AFTER", 0.0)
-    lines: list[str] = []
-    commands = FirstCommands(graph.stack, COMMANDS, lines.append)
-    graph.watcher.destroy_node()
-    wait_until(lambda: not graph.stack.count_publishers("/ego/odometry"))
-    commands.look(state_came=False)
-    assert "no node publishes on /ego/odometry: vehicle_simulator is to publish it" in lines[0]

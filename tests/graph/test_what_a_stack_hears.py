@@ -229,25 +229,3 @@ def test_the_frames_of_a_stack_that_calls_them_otherwise(ears: Any) -> None:
     assert (odometry.header.frame_id, odometry.child_frame_id) == pairs[1]
     assert scan.header.frame_id == "car/front"
     assert 'name="car/front"' in graph.wait_for("/robot_description", 1)[0].data
-
-
-def test_a_transform_is_said_again_only_to_those_who_came_since(ears: Any) -> None:
-    """tf2 complains of one that comes twice, and a node that is late for a state that is repeated needs it."""
-    graph = ears()
-    episode = sharp("crossing")
-    frame, stamp = states(episode, 1)[0]
-    graph.states.begin(episode, frame.car, START)
-    graph.listen({"/tf": TFMessage, "/ego/odometry": Odometry}, RELIABLE)
-    for _ in range(3):
-        graph.say(frame, stamp)
-    graph.wait_for("/ego/odometry", 3)
-    graph.wait_for("/tf", 1)
-    late = rclpy.create_node("late")
-    late.create_subscription(TFMessage, "/tf", lambda _message: None, RELIABLE)
-    wait_until(lambda: late.count_subscribers("/tf") == 2 and graph.speaker.count_subscribers("/tf") == 2)
-    (of_tf,) = [publisher for publisher in graph.speaker.publishers if publisher.topic_name == "/tf"]
-    wait_until(lambda: of_tf.get_subscription_count() == 2)
-    graph.say(frame, stamp)
-    graph.wait_for("/ego/odometry", 4)
-    graph.wait_for("/tf", 2)
-    late.destroy_node()

@@ -324,18 +324,6 @@ def test_frames_that_nobody_asks_for_spoil_nothing(tmp_path: Path):
     assert track.places[0] == pytest.approx([0.0, -24.9], abs=1e-6)
 
 
-def test_a_fixed_frame_said_twice_counts_each_from_when_it_was_said_and_is_told(tmp_path: Path):
-    sent = [
-        fixed(transform(99.0, "map", "lidar", 0.0, 0.0, 0.0)),
-        fixed(transform(103.0, "map", "lidar", 0.0, 0.5, 0.0)),
-    ]
-    sent += [detected(100.0 + tick / 20, [("1", 0.05 * tick, 0.5 if tick < 60 else 0.0)]) for tick in range(121)]
-    damage = Damage(skip=True)
-    (track,) = read(write(tmp_path / "a.mcap", sent), "/tracks:1", map_frame="map", damage=damage)
-    assert track.places[:, 1] == pytest.approx(np.full(121, 0.5))
-    assert any("'lidar' is said to lie in two ways in 'map', 0.5 m or rad apart" in line for line in damage.warnings)
-
-
 @pytest.mark.parametrize(
     ("more", "says"),
     [
@@ -350,29 +338,6 @@ def test_a_frame_that_is_said_in_two_ways_is_refused(tmp_path: Path, more: Any, 
     with pytest.raises(UsageError) as caught:
         read(write(tmp_path / "a.mcap", sent), "/tf:base_link", map_frame="map")
     assert says in str(caught.value)
-
-
-def test_transforms_that_begin_late_cost_the_beginning_and_say_so(tmp_path: Path):
-    late = [one for one in drive() if one.topic != "/tf" or one.time >= 101.0]
-    damage = Damage(skip=True)
-    (track,) = read(write(tmp_path / "a.mcap", late), "/tracks:42", map_frame="map", damage=damage)
-    assert (len(track.times), track.origin + track.times[0]) == (101, 101.0)
-    assert any("20 of 121 positions left out" in line for line in damage.warnings)
-
-
-def test_names_of_frames_and_topics_are_those_of_tf2(tmp_path: Path):
-    def other(one: Sent) -> Sent:
-        for each in one.message.transforms if one.kind == TFS else ():
-            each.header.frame_id, each.child_frame_id = f"/{each.header.frame_id}", f"/{each.child_frame_id}"
-        return one._replace(topic=f"/car1{one.topic}") if one.kind == TFS else one
-
-    plain, path = write(tmp_path / "a.mcap", drive()), write(tmp_path / "b.mcap", map(other, drive()))
-    with pytest.raises(
-        UsageError, match=r"transforms are on '/car1/tf_static', '/car1/tf', too: name one by --tf-topic"
-    ):
-        read(path, "/tracks:42", map_frame="map")
-    found = read(path, "/tracks:42", "/car1/tf:base_link", map_frame="/map", tf="/car1/tf")
-    assert bits(*found) == bits(*read(plain, "/tracks:42", "/tf:base_link", map_frame="map"))
 
 
 # --- stamps
