@@ -9,6 +9,7 @@ import contextlib
 import ctypes
 import importlib
 import math
+import sys
 import sysconfig
 import threading
 import time
@@ -22,7 +23,7 @@ import pytest
 import rclpy
 from common import PATIENCE, new_domain
 from geometry_msgs.msg import AccelStamped, Pose, Twist, TwistStamped
-from graph_support import in_domain
+from graph_support import HERE, in_domain
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -41,7 +42,7 @@ from skd_sim.ros.support import (
     VELOCITY_COMMAND,
 )
 from skd_sim.ros.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
-from skd_sim.ros_environment.installation import MessagePackage, build_messages, find_compiler
+from skd_sim.ros_environment.installation import ensure_messages
 from skd_sim.ros_environment.variables import is_sourced
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.carla import Placement
@@ -51,42 +52,25 @@ from skd_sim.world.world import make_world
 
 FRAME = 0.05
 VELOCITY = (2.5, 0.0)
-# As in github.com/carla-simulator/ros-carla-msgs.
-DEFINITIONS = {
-    "CarlaEgoVehicleControl": "std_msgs/Header header\nfloat32 throttle\nfloat32 steer\nfloat32 brake\n"
-    "bool hand_brake\nbool reverse\nint32 gear\nbool manual_gear_shift\n",
-    "CarlaWalkerControl": "geometry_msgs/Vector3 direction\nfloat32 speed\nbool jump\n",
-    "CarlaControl": "int8 PLAY=0\nint8 PAUSE=1\nint8 STEP_ONCE=2\nint8 command\n",
-}
-PACKAGE = (
-    "<package format='3'><name>carla_msgs</name><version>0.0.0</version><description>-</description>"
-    "<maintainer email='nobody@example.org'>-</maintainer><license>MIT</license>{}"
-    "<member_of_group>rosidl_interface_packages</member_of_group></package>"
-)
 PLACE = (120.0, -40.0, 0.8)  # of the crossing in the map: x, y, yaw
 
 
 @pytest.fixture(scope="session")
-def messages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """carla_msgs: the one that is sourced, or built from its definitions."""
+def messages() -> Iterator[Any]:
+    """carla_msgs: the one that is sourced, or messages of the same fields that are built with those of another test."""
     if is_sourced():
         yield pytest.importorskip("carla_msgs.msg", reason="this ROS 2 has no carla_msgs")
         return
-    folder = tmp_path_factory.mktemp("carla")
-    source, target = folder / "carla_msgs", folder / "prefix"
-    (source / "msg").mkdir(parents=True)
-    depends = "".join(f"<depend>{name}</depend>" for name in ("std_msgs", "geometry_msgs"))
-    (source / "package.xml").write_text(PACKAGE.format(depends))
-    for name, text in DEFINITIONS.items():
-        (source / "msg" / f"{name}.msg").write_text(text)
-    build_messages([MessagePackage(source)], find_compiler(), target, folder / "build.log")
+    prefix = ensure_messages([str(HERE / "messages")], "vendor_control_msgs")
+    assert prefix is not None
     for _ in range(2):  # each time those whose own needs are met: the loader looks in no folder that is not on its path
-        for library in target.glob("lib/*.so"):
+        for library in prefix.glob("lib/*.so"):
             with contextlib.suppress(OSError):
                 ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(sysconfig.get_path("purelib", vars={"base": str(target)}))
-        yield importlib.import_module("carla_msgs.msg")
+        patch.syspath_prepend(sysconfig.get_path("purelib", vars={"base": str(prefix)}))
+        patch.setitem(sys.modules, "carla_msgs.msg", importlib.import_module("vendor_base_msgs.msg"))
+        yield sys.modules["carla_msgs.msg"]
 
 
 class StandIn(Node):
