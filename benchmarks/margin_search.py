@@ -61,7 +61,7 @@ def searched(episodes: Sequence[EpisodeSpec], workers: int, effort: Effort) -> t
     """Return what a search finds in trials, and how long it takes, s."""
     begin = time.perf_counter()
     with InProcessRunner(workers) as runner:
-        found = search_margins(episodes, {}, in_processes(runner, lambda *_told: None), effort)
+        found = search_margins(episodes, {}, in_processes(runner, lambda *_: None), effort)
     return found, time.perf_counter() - begin
 
 

@@ -220,16 +220,19 @@ class OverlooksStanding(Law):
 
 
 class OverlooksAlong(Law):
-    """Overlooks whoever has walked along the road for three ticks."""
+    """Overlooks for some ticks whoever has walked along the road for three."""
+
+    TICKS = 5
 
     def begin(self) -> None:
         """Forget all."""
-        self._walked = 0
+        self._walked = self._overlooks = 0
 
     def decide(self, speed: float) -> float:
         """Return the acceleration (m/s²) at a speed (m/s)."""
         self._walked = self._walked + 1 if abs(self.leftwards) < 0.1 and abs(self.along) > 0.5 else 0
-        return -5.0 if self._walked < 3 and -1.0 < self.gap < 14.0 and abs(self.left) < 6.0 else 0.0
+        self._overlooks = self.TICKS if self._walked >= 3 else max(0, self._overlooks - 1)
+        return -5.0 if not self._overlooks and -1.0 < self.gap < 14.0 and abs(self.left) < 6.0 else 0.0
 
 
 class CrossingTime(Law):
@@ -308,6 +311,12 @@ class PoorDetector(Detector):
     PROBABILITY = 0.5
 
 
+class OverlooksWhileAlong(OverlooksAlong):
+    """Sees the road user as soon as it walks otherwise."""
+
+    TICKS = 1
+
+
 class OverlooksStandingFar(OverlooksStanding):
     """Brakes from further away."""
 
@@ -316,10 +325,11 @@ class OverlooksStandingFar(OverlooksStanding):
 
 _LAWS = (
     Slow, VerySlow, Prompt, PromptFar, Delayed, Sluggish, Blinks, Detector, PoorDetector, Tracker, Camera, Confirms,
-    Forgets, Waits, OverlooksStanding, OverlooksStandingFar, OverlooksAlong, CrossingTime, Hysteresis, Turns,
+    Forgets, Waits, OverlooksStanding, OverlooksStandingFar, OverlooksAlong, OverlooksWhileAlong, CrossingTime,
+    Hysteresis, Turns,
 )  # fmt: skip
 MEMORY_CARS = tuple(
     Car(law.__name__, (law.__mro__[1] if law.__mro__[1] is not Law else law).__name__, f"cars.memory:{law.__name__}")
     for law in _LAWS
 )
-"""Twenty cars of fifteen families."""
+"""Twenty-one cars of fifteen families."""

@@ -123,7 +123,7 @@ def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress
             [one for row in trials for one in row], known, hits, in_processes(runner, progress)
         )
     ends = np.cumsum([len(one) for one in groups])[:-1]
-    return tuple(map(np.minimum, groups, np.split(np.array(found), ends)))
+    return tuple(map(np.minimum, groups, np.split(found, ends)))
 
 
 def _trials(result: StoredResult) -> list[list[EpisodeSpec]]:

@@ -98,6 +98,9 @@ def _number(answer: Any) -> float:
         return math.nan
 
 
+_SCENARIOS = 64  # copies of scenarios that a controller keeps
+
+
 class UserController:
     """A user's controller, whose failures name it instead of ending in a traceback of ours.
 
@@ -110,17 +113,19 @@ class UserController:
     def __init__(self, controller: Controller, name: str) -> None:
         """Stand around `controller`, called `name` in messages."""
         self._controller, self._name = controller, name
-        self._scenario: Scenario | None = None
+        self._scenarios: dict[int, tuple[Scenario, Scenario]] = {}  # by id: each, and the controller's own copy
         self.control_period = control_period_of(controller, name)
         self.takes_scene, self.takes_batches = takes_scene(controller), takes_batches(controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on, with a scenario of the controller's own, so that it cannot change the world's."""
-        if scenario is not self._scenario:
-            self._scenario, self._pickled = scenario, pickle.dumps(scenario)
-        own: Scenario = pickle.loads(self._pickled)
-        own.road.line.setflags(write=False)
-        self._call("reset", self._controller.reset, own, rng)
+        if id(scenario) not in self._scenarios:
+            if len(self._scenarios) == _SCENARIOS:
+                self._scenarios.clear()
+            own: Scenario = pickle.loads(pickle.dumps(scenario))
+            own.road.line.setflags(write=False)
+            self._scenarios[id(scenario)] = scenario, own
+        self._call("reset", self._controller.reset, self._scenarios[id(scenario)][1], rng)
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on and check the answer; see `Controller.command`."""

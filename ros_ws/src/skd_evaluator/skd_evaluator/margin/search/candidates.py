@@ -20,6 +20,8 @@ from skd_evaluator.margin.actions import velocities
 
 ENOUGH = 1e-9
 """m: a trajectory that deviates less is φ itself."""
+_ALTERNATES = 0.3
+_LENGTHS = 1, 2, 3, 4, 6, 8  # ticks
 
 
 class Candidate(NamedTuple):
@@ -53,6 +55,7 @@ class ActionSpace:
         phi: positions of φ at ticks 0 … ticks, held at its end, m.
         as_phi: number of the action "as φ".
         action_count: how many actions there are in a tick.
+        opposite: of each action the one that leads back most.
         table: velocities of the actions in each tick, ticks × actions × 2, m/s; None: they depend on the road user's
             state.
     """
@@ -65,23 +68,32 @@ class ActionSpace:
         user = road_user_named(scenario.adversary.kind)
         self._motion = RoadUserMotion(user, scenario, self.path)
         self._phi_velocities = path_velocities(self.path, ticks, scenario.time_step).tolist()
+        self._every = np.arange(ticks)
         self.table: FloatArray | None = None
         if user is PEDESTRIAN:
             self.table = np.array([velocities(scenario, self.path, tick) for tick in range(ticks)])
-        self.action_count = len(velocities(scenario, self.path, 0, self.path[:1]))
+        first = velocities(scenario, self.path, 0, self.path[:1])
+        self.action_count = len(first)
         self.as_phi = AS_PHI if user is PEDESTRIAN else self.action_count - 1
+        sums = np.hypot(*(first[:, None] + first).transpose(2, 0, 1))
+        self.opposite = sums.argmin(axis=1)
+
+    def positions(self, sequences: IntArray) -> FloatArray:
+        """Return where sequences of actions (n × ticks) lead, n × (ticks + 1) × 2, m."""
+        if self.table is None:
+            return np.array([self._moved(one) for one in sequences])
+        found = np.empty((len(sequences), self.ticks + 1, 2))
+        found[:, 0] = 0.0
+        np.cumsum(self.scenario.time_step * self.table[self._every, sequences], axis=1, out=found[:, 1:])
+        found += self.path[0]
+        return found
 
     def candidates(self, sequences: IntArray) -> list[Candidate]:
         """Return where sequences of actions lead, n × ticks."""
-        step = self.scenario.time_step
-        if self.table is None:
-            positions = np.array([self._moved(one) for one in sequences])
-        else:
-            moved = np.cumsum(step * self.table[np.arange(self.ticks), sequences], axis=1)
-            positions = self.path[0] + np.concatenate([np.zeros((len(sequences), 1, 2)), moved], axis=1)
+        positions = self.positions(sequences)
         away = positions - self.phi
         deviations = np.maximum.accumulate(np.hypot(away[..., 0], away[..., 1]), axis=1)
-        reached = np.maximum.accumulate(np.where(self._reaches(positions), np.arange(self.ticks), -1), axis=1)
+        reached = np.maximum.accumulate(np.where(self._reaches(positions), self._every, -1), axis=1)
         return list(map(Candidate, sequences, positions, deviations, reached))
 
     def candidate(self, actions: IntArray) -> Candidate:
@@ -135,46 +147,50 @@ class ActionSpace:
         return found
 
 
-def excursion(rng: np.random.Generator, ticks: int, end: int, as_phi: int, action_count: int) -> IntArray:
-    """Return a sequence that follows φ up to a tick, takes an action for some ticks, and another or φ from then on."""
-    found = np.full(ticks, as_phi, np.int64)
-    leaves = int(rng.integers(end))
-    first, second = int(rng.integers(action_count)), int(rng.integers(action_count))
-    back = leaves + int(rng.choice((1, 2, 3, 4, 6, 8)))
-    again = back + int(rng.choice((0, 0, 1, 2, 4, ticks)))
-    found[leaves:back] = first
-    found[back:again] = second
-    return found
+def excursion(rng: np.random.Generator, space: ActionSpace) -> tuple[IntArray, int]:
+    """Return a sequence that follows φ up to a tick, takes an action for some ticks, and another or φ from then on.
+
+    Either action may alternate with the one that leads back most. The second value is the tick in which the first ends.
+    """
+    found = np.full(space.ticks, space.as_phi, np.int64)
+    start, length, rest, *legs = rng.random(7).tolist()
+    leaves = int(start * min(space.ticks, len(space.path)))
+    back = leaves + _LENGTHS[int(length * len(_LENGTHS))]
+    again = back + (0, 0, 1, 2, 4, space.ticks)[int(rest * 6)]
+    for begin, end, which, how in ((leaves, back, *legs[:2]), (back, again, *legs[2:])):
+        action = int(which * space.action_count)
+        found[begin:end] = action
+        if how < _ALTERNATES:
+            found[begin + 1 : end : 2] = space.opposite[action]
+    return found, back
 
 
 def changed(
-    rng: np.random.Generator, actions: IntArray, tick: int, others: Sequence[IntArray], as_phi: int, action_count: int
+    rng: np.random.Generator, space: ActionSpace, actions: IntArray, tick: int, others: Sequence[IntArray]
 ) -> IntArray:
     """Return a sequence with one or two small changes before a tick, or with the end of another one.
 
     Args:
         rng: draws the changes.
+        space: has the actions.
         actions: the sequence.
         tick: after which changes hardly matter: that of its contact.
         others: sequences of other trials, at least one.
-        as_phi: number of the action "as φ".
-        action_count: how many actions there are.
     """
-    found, ticks = actions.copy(), len(actions)
-    end = min(ticks, tick + 2)
-    for _ in range(2 if rng.random() < 0.4 else 1):
-        at, length = int(rng.integers(end)), 1 + int(rng.integers(4))
-        kind = int(rng.integers(6))
-        if kind <= 1:
-            found[at : at + length] = rng.integers(action_count)
-        elif kind == 2:
-            found[at : at + length] = as_phi
-        elif kind == 3:
+    found, end = actions.copy(), min(len(actions), tick + 2)
+    draws = rng.random(11).tolist()
+    for where, much, kind, which, stays in (draws[:5], draws[5:10])[: 2 if draws[10] < 0.4 else 1]:
+        at, length, action = int(where * end), 1 + int(4.0 * much), int(which * space.action_count)
+        if kind < 1 / 3:
+            found[at : at + length] = action
+        elif kind < 1 / 2:
+            found[at : at + length] = space.as_phi
+        elif kind < 2 / 3:
             found[at + 1 :] = found[at:-1].copy()
-            if rng.random() < 0.5:
-                found[at] = rng.integers(action_count)
-        elif kind == 4:
+            if stays < 0.5:
+                found[at] = action
+        elif kind < 5 / 6:
             found[at:-1] = found[at + 1 :].copy()
         else:
-            found[at:] = others[int(rng.integers(len(others)))][at:]
+            found[at:] = others[int(which * len(others))][at:]
     return found

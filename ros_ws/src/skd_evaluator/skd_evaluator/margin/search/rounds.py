@@ -27,9 +27,9 @@ SAME = 1e-4
 def in_processes(runner: Workers, progress: Progress) -> Rounds:
     """Return what searches groups of trials in several processes, one for each group."""
 
-    def go_on(groups: Sequence[Group], budget: int, what: str) -> list[Group]:
+    def go_on(groups: Sequence[Group], what: str) -> list[Group]:
         found = []
-        for count, group in enumerate(runner.map(_search, [(group, budget) for group in groups]), start=1):
+        for count, group in enumerate(runner.map(_search, groups), start=1):
             found.append(group)
             progress(f"{LABEL}, {what}", count, len(groups))
         return found
@@ -37,16 +37,16 @@ def in_processes(runner: Workers, progress: Progress) -> Rounds:
     return go_on
 
 
-def one_by_one(groups: Sequence[Group], budget: int, _what: str) -> list[Group]:
+def one_by_one(groups: Sequence[Group], _what: str) -> list[Group]:
     """Search groups of trials in this process."""
-    return [_search_here((group, budget)) for group in groups]
+    return [_search_here(group) for group in groups]
 
 
 def by_episodes(runner: Runner, progress: Progress) -> Rounds:
     """Return what searches all groups at once by whole episodes, as of a stack behind the node graph."""
 
-    def go_on(groups: Sequence[Group], budget: int, what: str) -> list[Group]:
-        search(groups, budget, lambda episodes: list(runner.run(episodes)))
+    def go_on(groups: Sequence[Group], what: str) -> list[Group]:
+        search(groups, lambda episodes: list(runner.run(episodes)))
         progress(f"{LABEL}, {what}", 1, 1)
         return list(groups)
 
@@ -81,21 +81,20 @@ def confirmed(found: SearchedMargins, runner: Runner) -> list[Hit | None]:
     return hits
 
 
-def _search(job: tuple[Group, int]) -> Group:
-    return isolated(job[0].trials[0].episode.car.user_code, _search_here, job)
+def _search(group: Group) -> Group:
+    return isolated(group.trials[0].episode.car.user_code, _search_here, group)
 
 
-def _search_here(job: tuple[Group, int]) -> Group:
-    group, budget = job
+def _search_here(group: Group) -> Group:
     first = group.trials[0].episode
     controller = make_controller(first.controller, first.multiplier)
     together = not why_not_batched(first)
     if together and takes_batches(controller):
-        search([group], budget, replayed)
+        search([group], replayed)
     elif together and not is_sensing(controller):
-        search([group], budget, replays(controller, group.trials))
+        search([group], replays(controller, group.trials))
     else:
-        search([group], budget, lambda episodes: [run_episode(one, controller) for one in episodes])
+        search([group], lambda episodes: [run_episode(one, controller) for one in episodes])
     return group
 
 

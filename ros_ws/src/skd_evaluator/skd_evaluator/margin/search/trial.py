@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.scenario.road import right_and_along, road_position
+from skd_sim.kernels.compilation import kernel
+from skd_sim.world.contact import rectangle_distance, to_car_frame
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
@@ -18,7 +18,7 @@ from skd_evaluator.metrics.deviation import Hit, hit_of
 NEAR_MISSES = 8
 """Kept for each trial."""
 _NEAR = 2.0  # m between car and road user, below which a candidate is a near miss
-_SUB_STEPS = np.array([0.25, 0.5, 0.75, 1.0])  # of a tick at which the clearance is looked at
+_PARTS = 4  # of a tick at whose ends the clearance is looked at
 
 
 class NearMiss(NamedTuple):
@@ -29,14 +29,12 @@ class NearMiss(NamedTuple):
         clearance: least distance between the moving car and the road user, m.
         actions: number of the action in each tick.
         tick: of least clearance.
-        log: what happened.
     """
 
     deviation: float
     clearance: float
     actions: IntArray
     tick: int
-    log: EpisodeLog
 
 
 class Trial:
@@ -50,9 +48,9 @@ class Trial:
         hit: the episode that ended in it.
         actions: the actions of `best`; None where it was not found by a sequence of them.
         tick: in which `best` hits.
-        log: what happened then.
         near_misses: by deviation.
         driven: how many candidates were driven.
+        spent: the same, and how often none came to mind.
     """
 
     def __init__(self, episode: EpisodeSpec, space: ActionSpace) -> None:
@@ -64,9 +62,8 @@ class Trial:
         self.hit: EpisodeSpec | None = None
         self.actions: IntArray | None = None
         self.tick = 0
-        self.log: EpisodeLog | None = None
         self.near_misses: list[NearMiss] = []
-        self.driven = 0
+        self.driven = self.spent = 0
 
     @property
     def is_done(self) -> bool:
@@ -87,6 +84,7 @@ class Trial:
     def learn(self, candidate: Candidate | None, log: EpisodeLog) -> bool:
         """Take note of what happened; tell whether it is a better hit. None: the log is a kamikaze's own."""
         self.driven += 1
+        self.spent += 1
         if log.outcome == Outcome.ABORTED:
             return False
         if log.hit:
@@ -96,29 +94,25 @@ class Trial:
             self.best = replace(hit, gap=0.0) if hit.distance <= ENOUGH else hit
             self.least, self.hit = hit.distance, log.episode
             self.actions = None if candidate is None else candidate.actions
-            self.tick, self.log = len(log.adversary) - 2, log
+            self.tick = len(log.adversary) - 2
             self.near_misses = [one for one in self.near_misses if one.deviation < hit.distance]
             return True
         if candidate is not None and log.outcome != Outcome.COLLISION:
             self._note_near_miss(candidate, log)
         return False
 
-    def take(self, other: Trial) -> None:
-        """Take over what was found in a copy of this trial, if it is better."""
-        if other.least < self.least:
-            self.best, self.hit, self.least = other.best, other.hit, other.least
-            self.actions, self.tick, self.log = other.actions, other.tick, other.log
-            self.near_misses = [one for one in self.near_misses if one.deviation < self.least]
-
     def _note_near_miss(self, candidate: Candidate, log: EpisodeLog) -> None:
-        clearance, tick = least_clearance(log)
+        scenario = self.episode.scenario
+        car, hit_speed = scenario.car, scenario.collision.hit_speed
+        footprint = car.front, car.rear, car.half_width
+        clearance, tick = least_clearance(log.adversary, log.car, footprint, scenario.adversary.reach, hit_speed)
         deviation = float(candidate.deviations[tick + 1])
         if clearance > _NEAR or deviation >= self.least:
             return
         if any(one.deviation <= deviation and one.clearance <= clearance for one in self.near_misses):
             return
         kept = [one for one in self.near_misses if one.deviation < deviation or one.clearance < clearance]
-        kept.append(NearMiss(deviation, clearance, candidate.actions, tick, log))
+        kept.append(NearMiss(deviation, clearance, candidate.actions, tick))
         kept.sort(key=lambda one: one.deviation)
         self.near_misses = kept[-NEAR_MISSES:]
 
@@ -131,22 +125,35 @@ def prescribed(episode: EpisodeSpec, positions: FloatArray) -> EpisodeSpec:
     return replace(episode, mode=Mode.REPLAY, scenario=started, safe_trajectory=path, public=episode.public_scenario)
 
 
-def least_clearance(log: EpisodeLog) -> tuple[float, int]:
-    """Return the least distance (m) between the moving car and the road user, and the tick in which it was."""
-    scenario = log.episode.scenario
-    users, cars = log.adversary, log.car
-    if not scenario.road.straight:
-        users = right_and_along(scenario.road.line, users)
-        along = np.array([road_position(scenario.road.line, x, y)[0] for x, y in cars[:, :2].tolist()])
-        cars = np.column_stack([np.zeros(len(cars)), along, cars[:, 2:]])
-    share = _SUB_STEPS[:, None]
-    offsets = users - cars[:, :2]
-    across, ahead = ((1.0 - share) * offsets[:-1, axis] + share * offsets[1:, axis] for axis in (0, 1))
-    speeds = (1.0 - share) * cars[:-1, 3] + share * cars[1:, 3]
-    car = scenario.car
-    beside = np.maximum(np.abs(across) - car.half_width, 0.0)
-    beyond = np.maximum(np.maximum(ahead - car.front, -car.rear - ahead), 0.0)
-    clearances = np.sqrt(beside**2 + beyond**2) - scenario.adversary.reach
-    clearances = np.where(speeds >= scenario.collision.hit_speed, clearances, math.inf).min(axis=0)
-    tick = int(np.argmin(clearances))
-    return float(clearances[tick]), tick
+@kernel
+def least_clearance(
+    users: FloatArray,
+    cars: FloatArray,
+    footprint: tuple[float, float, float],
+    reach: float,
+    hit_speed: float,
+) -> tuple[float, int]:
+    """Return the least distance (m) between the moving car and the road user, and the tick in which it was.
+
+    Args:
+        users: places of the road user at ticks, n × 2, m.
+        cars: pose and speed of the car at ticks, n × 4.
+        footprint: front, rear and half width of the car, m.
+        reach: radius of the road user, m.
+        hit_speed: speed of the car below which it does not count, m/s.
+    """
+    least, nearest = math.inf, 0
+    ahead, left = to_car_frame(users[0, 0], users[0, 1], cars[0, 0], cars[0, 1], cars[0, 2])
+    for tick in range(users.shape[0] - 1):
+        after, at = cars[tick + 1], users[tick + 1]
+        ahead_to, left_to = to_car_frame(at[0], at[1], after[0], after[1], after[2])
+        for part in range(1, _PARTS + 1):
+            share = part / _PARTS
+            if (1.0 - share) * cars[tick, 3] + share * after[3] < hit_speed:
+                continue
+            along, aside = (1.0 - share) * ahead + share * ahead_to, (1.0 - share) * left + share * left_to
+            clearance = rectangle_distance(along, aside, *footprint) - reach
+            if clearance < least:
+                least, nearest = clearance, tick
+        ahead, left = ahead_to, left_to
+    return least, nearest

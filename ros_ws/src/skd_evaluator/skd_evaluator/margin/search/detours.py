@@ -1,0 +1,131 @@
+"""Detours: a trajectory that was driven is left for one action, by which the road user is hit if the car drives on.
+
+The car is taken to drive as it did. In the tick in which the trajectory is left that is what happens, if the car
+decides at the begin of a tick; later it is a guess, which a drive confirms or not.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.road import road_pose, road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import sweep
+from skd_sim.world.episode import EpisodeSpec, Role, generator
+from skd_sim.world.world import first_car_state
+
+from skd_evaluator.margin.search.candidates import ActionSpace
+
+
+def undisturbed_car(episode: EpisodeSpec) -> FloatArray:
+    """Return x, y (m), heading (rad) and speed (m/s) of a car at each tick that keeps its first speed, n × 4."""
+    scenario = episode.scenario
+    car = first_car_state(scenario, episode.start_gap, generator(episode.seed, episode.episode_id, Role.START))
+    line = scenario.road.line
+    begin, _ = road_position(line, car.x, car.y)
+    ticks = np.arange(scenario.ticks + 1)
+    along = begin + scenario.time_step * car.speed * ticks
+    return np.array([(*road_pose(line, one), car.speed) for one in along.tolist()])
+
+
+def detour(
+    space: ActionSpace,
+    actions: IntArray,
+    users: FloatArray,
+    cars: FloatArray,
+    bound: float,
+    *,
+    longest: int,
+    first: int = 0,
+) -> tuple[float, IntArray] | None:
+    """Return the deviation (m) and actions of the detour of least deviation that is hit; None where there is none.
+
+    Args:
+        space: has the velocities of actions.
+        actions: what is left.
+        users: places of the road user then, at ticks, n × 2, m.
+        cars: pose and speed of the car then, n × 4.
+        bound: only hits with less deviation count, m.
+        longest: ticks, at most, from leaving the trajectory to the hit.
+        first: tick before which it is not left.
+    """
+    assert space.table is not None
+    scenario: Scenario = space.scenario
+    car = scenario.car
+    deviation, tick, action, length = _best_detour(
+        (car.front, car.rear, car.half_width),
+        scenario.adversary.shape,
+        (scenario.time_step, scenario.collision.hit_speed, bound),
+        space.phi,
+        space.table,
+        users,
+        cars,
+        first,
+        longest,
+    )
+    if tick < 0:
+        return None
+    found = actions.copy()
+    found[tick : tick + length] = action
+    return deviation, found
+
+
+@kernel
+def _best_detour(
+    footprint: tuple[float, float, float],
+    shape: tuple[float, float, float],
+    limits: tuple[float, float, float],
+    phi: FloatArray,
+    table: FloatArray,
+    users: FloatArray,
+    cars: FloatArray,
+    first: int,
+    longest: int,
+) -> tuple[float, int, int, int]:
+    """Return deviation, tick in which a trajectory is left (−1: never), action, and for how many ticks."""
+    step, hit_speed, bound = limits
+    reach = shape[0] if shape[0] > 0.0 else math.hypot(shape[1], shape[2])
+    size = math.hypot(max(footprint[0], footprint[1]), footprint[2]) + reach
+    best = (-1, -1, 0)
+    deviated = 0.0
+    for begin in range(users.shape[0] - 1):
+        deviated = max(deviated, math.hypot(users[begin, 0] - phi[begin, 0], users[begin, 1] - phi[begin, 1]))
+        if deviated >= bound:
+            break
+        if begin < first:
+            continue
+        for action in range(table.shape[1]):
+            x, y, most = users[begin, 0], users[begin, 1], deviated
+            for tick in range(begin, min(begin + longest, users.shape[0] - 1)):
+                vx, vy = table[tick, action, 0], table[tick, action, 1]
+                x_to, y_to = x + step * vx, y + step * vy
+                away, away_y = x - phi[tick, 0], y - phi[tick, 1]
+                away_to, away_y_to = x_to - phi[tick + 1, 0], y_to - phi[tick + 1, 1]
+                apart = math.hypot(x - cars[tick, 0], y - cars[tick, 1])
+                if apart <= size + step * (2.0 + max(cars[tick, 3], cars[tick + 1, 3]) + math.hypot(vx, vy)):
+                    share, impact = sweep(
+                        cars[tick : tick + 2],
+                        (x, y),
+                        (x_to, y_to),
+                        (vx, vy),
+                        math.atan2(vy, vx),
+                        footprint,
+                        shape,
+                        step,
+                        0,
+                        1,
+                    )
+                    if share <= 1.0:
+                        east, north = away + share * (away_to - away), away_y + share * (away_y_to - away_y)
+                        reached = max(most, math.hypot(east, north))
+                        if impact >= hit_speed and reached < bound:
+                            bound, best = reached, (begin, action, tick + 1 - begin)
+                        break
+                most = max(most, math.hypot(away_to, away_y_to))
+                if most >= bound:
+                    break
+                x, y = x_to, y_to
+    return bound, *best
