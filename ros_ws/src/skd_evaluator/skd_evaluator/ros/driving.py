@@ -18,7 +18,7 @@ from skd_adversary.ros.adversary_node import AdversaryNode
 from skd_sim.options.options import CommandOptions
 from skd_sim.ros.commands import Quantity, car_commands
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary
-from skd_sim.ros.support import ADVERSARY_ODOMETRY, STREAM, spin
+from skd_sim.ros.support import ADVERSARY_ODOMETRY, STREAM, Moments, spin
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import CommandAges
@@ -49,22 +49,22 @@ class DrivingNode(AdversaryNode):
         super().__init__(make=make, context=context)
         self._heard = car_commands(commands)
         self._show, self._unit = show, _UNITS[self._heard.format.quantity]
-        self._moment = (-1, -1)
-        self._seen: dict[int, tuple[int, int, CarState]] = {}
-        self._there: dict[int, AdversaryState] = {}
         self._ages = CommandAges(waited_for=False)
-        self._drive = math.nan
         self._onlooker: Onlooker | None = None
+        self._forget()
         self.create_subscription(Odometry, ADVERSARY_ODOMETRY, self._on_adversary, STREAM)
         self.create_subscription(self._heard.kind, commands.command_topic, self._on_drive, STREAM)
 
     def _on_begin(self, episode: EpisodeSpec) -> None:
         super()._on_begin(episode)
-        self._onlooker, self._moment = Onlooker(episode, self._unit), (-1, -1)
-        self._seen.clear()
-        self._there.clear()
-        self._ages.begin()
+        self._onlooker = Onlooker(episode, self._unit)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._moment = (-1, -1)
+        self._moments = Moments(CarState, AdversaryState)
         self._drive = math.nan
+        self._ages.begin()
 
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
         super()._on_frame(tick, period, stamp, car)
@@ -73,13 +73,11 @@ class DrivingNode(AdversaryNode):
             self._ages.use(now)
         self._moment = tick, period
         self._ages.publish(stamp, now)
-        self._seen[stamp] = tick, period, car
-        self._look(stamp)
+        self._look(stamp, CarState, (tick, period, car))
 
     def _on_adversary(self, message: Odometry) -> None:
         stamp = from_stamp(message.header.stamp)
-        self._there[stamp] = odometry_to_adversary(message)
-        self._look(stamp)
+        self._look(stamp, AdversaryState, odometry_to_adversary(message))
 
     def _on_drive(self, message: Any) -> None:
         if self._moment != (-1, -1):
@@ -87,16 +85,12 @@ class DrivingNode(AdversaryNode):
             self._drive = command[0]
             self._ages.come(stamp or None, time.monotonic())
 
-    def _look(self, stamp: int) -> None:
+    def _look(self, stamp: int, part: type, value: Any) -> None:
         """Show a moment of which both states are there."""
-        if self._onlooker is None or stamp not in self._seen or stamp not in self._there:
-            return
-        tick, period, car = self._seen[stamp]
-        age = self._ages.ages[-1] if self._ages.ages else math.nan
-        self._show(self._onlooker.see(tick, period, car, self._there[stamp], self._drive, age))
-        for side in (self._seen, self._there):
-            for old in [one for one in side if one <= stamp]:
-                del side[old]
+        if self._onlooker is not None and (both := self._moments.put(stamp, part, value)) is not None:
+            age = self._ages.ages[-1] if self._ages.ages else math.nan
+            tick, period, car = both[CarState]
+            self._show(self._onlooker.see(tick, period, car, both[AdversaryState], self._drive, age))
 
 
 class Watched:
@@ -119,7 +113,12 @@ class Watched:
         """Run the adversary's node in a context, in a thread, as long as this lasts, and yield it."""
         node = DrivingNode(context, self._commands, self._hand_for, self._show)
         over = threading.Event()
-        thread = threading.Thread(target=_spin, args=(node, over), name="skd-drive", daemon=True)
+
+        def run() -> None:
+            with suppress(ExternalShutdownException):
+                spin(node, over.is_set)
+
+        thread = threading.Thread(target=run, name="skd-drive", daemon=True)
         thread.start()
         try:
             yield node
@@ -150,8 +149,3 @@ class Watched:
             return log
 
         return drive
-
-
-def _spin(node: Any, over: threading.Event) -> None:
-    with suppress(ExternalShutdownException):
-        spin(node, over.is_set)

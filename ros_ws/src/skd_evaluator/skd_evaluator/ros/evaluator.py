@@ -196,7 +196,6 @@ class Evaluator(GraphNode):
     def __init__(
         self,
         context: Context | None = None,
-        name: str = "evaluator",
         composed: GraphOptions | None = None,
         **node_arguments: Any,
     ) -> None:
@@ -204,11 +203,10 @@ class Evaluator(GraphNode):
 
         Args:
             context: ROS context of the graph; by default that of the process.
-            name: name of the node; several nodes in one process need different names.
             composed: how the graph is run, if simulator and adversary are in this process; None: they are not.
             node_arguments: further arguments of `rclpy.node.Node`.
         """
-        super().__init__(name, context=context, **node_arguments)
+        super().__init__("evaluator", context=context, **node_arguments)
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[EpisodeEnd, int] | None = None

@@ -75,7 +75,7 @@ def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iter
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, setting.log_folder, setting.say))
         context, nodes = stack.enter_context(_place_in(domain))
-        evaluator = Evaluator(context, "evaluator", options if composed else None, start_parameter_services=False)
+        evaluator = Evaluator(context, options if composed else None, start_parameter_services=False)
         nodes.append(evaluator)
         if watched is not None:
             nodes.append(stack.enter_context(watched.adversary(context)))

@@ -14,7 +14,7 @@ from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
 from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.state_publisher import CAR_HEIGHT
-from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM
+from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM, Moments
 from skd_sim.ros.to_messages import to_orientation, to_stamp
 from skd_sim.scenario.road import Road, road_pose, road_position
 from skd_sim.scenario.road_user import Body, height_of
@@ -160,27 +160,18 @@ class LiveFigures:
         listeners = self._clearance.get_subscription_count() + self._deviation.get_subscription_count()
         self._onlooker = Onlooker(episode) if listeners else None
         self._scenario, self._start = episode.scenario, start
-        self._cars: dict[int, CarState] = {}
-        self._adversaries: dict[int, AdversaryState] = {}
+        self._moments = Moments(CarState, AdversaryState)
 
     def take(self, stamp: int, state: CarState | AdversaryState) -> None:
         """Take a state of the car or the adversary, stamped in ns; publish when both of a moment are there."""
-        if self._onlooker is not None:
-            if isinstance(state, CarState):
-                self._cars[stamp] = state
-            else:
-                self._adversaries[stamp] = state
-            self._publish(stamp)
-
-    def _publish(self, stamp: int) -> None:
-        """Publish the figures of a moment of which both states are there."""
-        place = period_of(stamp, self._start, self._scenario.time_step, self._scenario.control_periods)
-        if self._onlooker is None or place is None or not (stamp in self._cars and stamp in self._adversaries):
+        if self._onlooker is None or (both := self._moments.put(stamp, type(state), state)) is None:
             return
-        seen = self._onlooker.see(*place, self._cars.pop(stamp), self._adversaries.pop(stamp), math.nan, math.nan)
-        self._clearance.publish(Float64(data=seen.clearance))
-        if not math.isnan(seen.strayed):
-            self._deviation.publish(Float64(data=seen.strayed))
+        place = period_of(stamp, self._start, self._scenario.time_step, self._scenario.control_periods)
+        if place is not None:
+            seen = self._onlooker.see(*place, both[CarState], both[AdversaryState], math.nan, math.nan)
+            self._clearance.publish(Float64(data=seen.clearance))
+            if not math.isnan(seen.strayed):
+                self._deviation.publish(Float64(data=seen.strayed))
 
 
 def recorded_figures(log: EpisodeLog, start: int) -> Iterator[tuple[str, Float64, int]]:

@@ -33,6 +33,7 @@ from skd_sim.ros.support import (
     STREAM,
     EpisodeFollower,
     GraphNode,
+    Moments,
     declare,
     run_node,
 )
@@ -62,7 +63,7 @@ class CarController(GraphNode):
         if self._settings["controller"]:
             make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
         self._controller: Controller | None = None
-        self._seen: dict[int, dict[str, Any]] = {}  # by stamp
+        self._moments = Moments(EGO_ODOMETRY, ADVERSARY_ODOMETRY)
         self._scans: Any = None  # subscription, while the controller senses
         self._answered: dict[int, AccelStamped] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
@@ -87,6 +88,7 @@ class CarController(GraphNode):
 
     def _listen_to_scans(self, *, wanted: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless a node listens."""
+        self._moments.needed = {EGO_ODOMETRY, ADVERSARY_ODOMETRY} | ({EGO_SCAN} if wanted else set())
         if wanted and self._scans is None:
             of_laser = partial(self._hear, EGO_SCAN, message_to_scan)
             self._scans = self.create_subscription(LaserScan, EGO_SCAN, of_laser, STREAM)
@@ -96,11 +98,7 @@ class CarController(GraphNode):
 
     def _hear(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
         stamp = from_stamp(message.header.stamp)
-        seen = self._seen.setdefault(stamp, {})
-        seen[topic] = read(message)
-        needed = {EGO_ODOMETRY, ADVERSARY_ODOMETRY} | ({EGO_SCAN} if self._scans is not None else set())
-        if needed <= seen.keys():
-            self._seen = {other: kept for other, kept in self._seen.items() if other > stamp}
+        if (seen := self._moments.put(stamp, topic, read(message))) is not None:
             self._follower.deliver(stamp, seen)
 
     def _on_frame(self, tick: int, period: int, stamp: int, seen: dict[str, Any]) -> None:

@@ -61,29 +61,16 @@ def living_publishers(node: Node, topic: str) -> list[Publisher]:
     return [one for one in publishers if one.participant[:4] != ours[:4] or _process(one.participant) in processes]
 
 
-def publisher_names(node: Node, topic: str, *, least: int = 0) -> list[str]:
-    """Return the names of the nodes that publish on a topic, sorted; waits a moment for those that have not come.
-
-    Args:
-        node: node through which the graph is seen.
-        topic: name of the topic as the node would write it, before remapping.
-        least: how many there were a moment ago.
-    """
-    latest = time.monotonic() + _NAMING
-    while True:
-        publishers = living_publishers(node, topic)
-        if all(one.named for one in publishers) or time.monotonic() > latest:
-            names = [one.name for one in publishers]
-            return names + ["one that is gone"] * (least - len(names))
-        time.sleep(0.01)
-
-
 def second_publisher(node: Node, topic: str) -> str | None:
-    """Return, in words, who publishes on a topic that is one node's alone; none where at most one does. Cheap then."""
+    """Return, in words, which nodes publish on a topic that is one's alone; none where at most one does. Cheap then."""
     topic = node.resolve_topic_name(topic)
-    if node.count_publishers(topic) < 2 or len(living_publishers(node, topic)) < 2:
+    if node.count_publishers(topic) < 2 or len(publishers := living_publishers(node, topic)) < 2:
         return None
-    names = publisher_names(node, topic, least=2)
+    latest = time.monotonic() + _NAMING
+    while not all(one.named for one in publishers) and time.monotonic() < latest:
+        time.sleep(0.01)
+        publishers = living_publishers(node, topic)
+    names = [*(one.name for one in publishers), "one that is gone", "another that is gone"][: max(2, len(publishers))]
     return f"{len(names)} nodes publish {topic}, one may: {' and '.join(names)}"
 
 

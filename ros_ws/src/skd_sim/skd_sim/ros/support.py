@@ -191,6 +191,28 @@ def run_node(
     return code
 
 
+class Moments:
+    """Puts together what several topics say of one moment, whatever comes first.
+
+    Attributes:
+        needed: what has to be there of a moment.
+    """
+
+    def __init__(self, *needed: object) -> None:
+        """Begin without anything."""
+        self.needed = set(needed)
+        self._seen: dict[int, dict[Any, Any]] = {}
+
+    def put(self, stamp: int, part: object, value: Any) -> dict[Any, Any] | None:
+        """Add a part at a stamp (ns); return all of the moment where that is whole now, and forget what is older."""
+        seen = self._seen.setdefault(stamp, {})
+        seen[part] = value
+        if not self.needed <= seen.keys():
+            return None
+        self._seen = {other: kept for other, kept in self._seen.items() if other > stamp}
+        return seen
+
+
 class EpisodeFollower:
     """Hands each message to its tick, and control period, of the current episode.
 
