@@ -116,11 +116,10 @@ def graph_programs(
     ours = node_variables(environment)
     programs = {}
     if not composed:
-        command = _python_node("skd_sim.start", SIMULATOR, *_ros_parameters(options.simulator_parameters()))
-        programs[SIMULATOR] = Program(command, ours)
-        programs[ADVERSARY] = Program(_python_node("skd_sim.start", ADVERSARY), ours)
+        programs[SIMULATOR] = Program(_node(SIMULATOR, options.simulator_parameters()), ours)
+        programs[ADVERSARY] = Program(_node(ADVERSARY), ours)
     if not car.is_external:
-        programs[CONTROLLER] = Program(_python_node("skd_sim.start", CONTROLLER), ours)
+        programs[CONTROLLER] = Program(_node(CONTROLLER), ours)
     elif options.controller_command:
         try:
             command = shlex.split(options.controller_command)
@@ -132,15 +131,11 @@ def graph_programs(
     return programs
 
 
-def _python_node(module: str, *arguments: str) -> list[str]:
+def _node(name: str, parameters: Mapping[str, object] | None = None) -> list[str]:
     """Return the command of one of our nodes, on this interpreter; `-P`: the working folder cannot shadow modules."""
-    return [sys.executable, "-P", "-m", module, *arguments]
-
-
-def _ros_parameters(values: Mapping[str, object]) -> list[str]:
-    """Return parameters as `--ros-args -p name:=value …`; JSON is YAML: a text stays one, the empty one, too."""
-    parameters = [["-p", f"{name}:={json.dumps(value)}"] for name, value in values.items()]
-    return ["--ros-args", *(word for words in parameters for word in words)]
+    # JSON is YAML: a text stays one, the empty one, too.
+    given = [word for key, value in (parameters or {}).items() for word in ("-p", f"{key}:={json.dumps(value)}")]
+    return [sys.executable, "-P", "-m", "skd_sim.start", name, "--ros-args", *given]
 
 
 def _controller_environment(environment: Mapping[str, str]) -> dict[str, str]:

@@ -243,29 +243,27 @@ def _qos_of_subscription(seen: Evidence) -> str | None:
     return None
 
 
-def _zero_stamp(seen: Evidence) -> str | None:
-    return _of_stamp(seen) if seen.by_stamp and seen.newest == 0 else None
+def _stamp(fits: Callable[[int, Evidence], bool]) -> Callable[[Evidence], str | None]:
+    """Return what finds a stamp of no use, where the newest one (ns) fits."""
+
+    def find(seen: Evidence) -> str | None:
+        if seen.newest is None or not fits(seen.newest, seen):
+            return None
+        return f"commands come, but their stamps are of no use: {stamp_fault(seen.newest, seen.stamp or 0)}"
+
+    return find
 
 
-def _wall_clock(seen: Evidence) -> str | None:
-    return _of_stamp(seen) if seen.by_stamp and (seen.newest or 0) > WALL_CLOCK else None
-
-
-def _other_stamp(seen: Evidence) -> str | None:
-    if not seen.newest or seen.stamp is None or seen.newest == seen.stamp:
-        return None
-    return _of_stamp(seen) if seen.by_stamp or seen.newest < seen.stamp - LEAD else None
-
-
-def _of_stamp(seen: Evidence) -> str:
-    assert seen.newest is not None
-    return f"commands come, but their stamps are of no use: {stamp_fault(seen.newest, seen.stamp or 0)}"
+def _is_other(newest: int, seen: Evidence) -> bool:
+    if not newest or seen.stamp is None or newest == seen.stamp:
+        return False
+    return seen.by_stamp or newest < seen.stamp - LEAD
 
 
 _STAMPS = (
-    Cause("zero stamp", True, _zero_stamp),
-    Cause("wall clock", True, _wall_clock),
-    Cause("other stamp", True, _other_stamp),
+    Cause("zero stamp", True, _stamp(lambda newest, seen: seen.by_stamp and newest == 0)),
+    Cause("wall clock", True, _stamp(lambda newest, seen: seen.by_stamp and newest > WALL_CLOCK)),
+    Cause("other stamp", True, _stamp(_is_other)),
 )
 
 
