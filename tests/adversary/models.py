@@ -6,104 +6,38 @@ Compiled functions belong to a module: the planner's cache knows them by it.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from problems import tiger as benchmark
+from problems.tiger import LISTEN, TigerParameters
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 
-# --- Tiger (Kaelbling, Littman and Cassandra 1998): state 0 = behind the left door, 1 = behind the right one
-
-LISTEN, OPEN_LEFT, OPEN_RIGHT = range(3)
-
-
-class TigerParameters(NamedTuple):
-    accuracy: float = 0.85  # of the discrete hearing
-    sigma: float = 1.0  # of the Gaussian hearing: ±1 + N(0, σ²)
-    listen: float = -1.0
-    wrong: float = -100.0
-    right: float = 10.0
-
-
-@kernel
-def tiger_initial(parameters: TigerParameters, state: FloatArray, rng: np.random.Generator) -> None:
-    state[0] = 1.0 if rng.random() < 0.5 else 0.0
-
-
-@kernel
-def tiger_step(
-    parameters: TigerParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
-) -> tuple[float, bool]:
-    if action == LISTEN:
-        after[0] = state[0]
-        return parameters.listen, False
-    after[0] = 1.0 if rng.random() < 0.5 else 0.0  # the problem starts anew
-    return parameters.wrong if state[0] == action - 1 else parameters.right, False
-
-
-@kernel
-def tiger_observe(
-    parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray, rng: np.random.Generator
-) -> None:
-    correct = rng.random() < (parameters.accuracy if action == LISTEN else 0.5)
-    heard[0] = state[0] if correct else 1.0 - state[0]
-
-
-@kernel
-def tiger_likelihood(parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray) -> float:
-    if action != LISTEN:
-        return 0.5
-    return parameters.accuracy if heard[0] == state[0] else 1.0 - parameters.accuracy
+# --- Tiger, with discrete hearing or with Gaussian hearing of ±1
 
 
 @kernel
 def gaussian_observe(
     parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray, rng: np.random.Generator
 ) -> None:
-    centre = 2.0 * state[0] - 1.0 if action == LISTEN else 0.0
-    heard[0] = centre + parameters.sigma * rng.standard_normal()
+    heard[0] = (2.0 * state[0] - 1.0 if action == LISTEN else 0.0) + rng.standard_normal()
 
 
 @kernel
 def gaussian_likelihood(parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray) -> float:
-    centre = 2.0 * state[0] - 1.0 if action == LISTEN else 0.0
-    error = (heard[0] - centre) / parameters.sigma
+    error = heard[0] - (2.0 * state[0] - 1.0 if action == LISTEN else 0.0)
     return math.exp(-0.5 * error * error)
 
 
-@kernel
-def tiger_rollout(parameters: TigerParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    return LISTEN
-
-
-@kernel
-def tiger_reinvigorate(
-    parameters: TigerParameters,
-    state: FloatArray,
-    heard: FloatArray,
-    redrawn: FloatArray,
-    rng: np.random.Generator,
-) -> None:
-    redrawn[0] = 1.0 if rng.random() < 0.5 else 0.0
-
-
-def tiger(*, discount: float = 0.95, gaussian: bool = False, **parameters: float) -> Pomdp:
-    """Return Tiger with discrete hearing, or with Gaussian hearing of ±1."""
-    return Pomdp(
-        name="test_tiger_gaussian" if gaussian else "test_tiger",
-        state_dim=1,
-        observation_dim=1,
-        action_count=3,
-        discount=discount,
-        parameters=TigerParameters(**parameters),
-        initial=tiger_initial,
-        step=tiger_step,
-        observe=gaussian_observe if gaussian else tiger_observe,
-        likelihood=gaussian_likelihood if gaussian else tiger_likelihood,
-        rollout_action=tiger_rollout,
-        reinvigorate=tiger_reinvigorate,
-    )
+def tiger(*, gaussian: bool = False, **parameters: float) -> Pomdp:
+    """Return Tiger with these rewards."""
+    model = replace(benchmark.tiger(), parameters=TigerParameters(**parameters))
+    if not gaussian:
+        return model
+    return replace(model, name="test_tiger_gaussian", observe=gaussian_observe, likelihood=gaussian_likelihood)
 
 
 # --- A walker on a ring of cells, seen through Gaussian noise; it stops (terminal) with some probability in cell 0

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
+from models import tiger
+from problems.tiger import LISTEN, OPEN_LEFT, OPEN_RIGHT
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions
@@ -105,7 +106,7 @@ def test_it_gathers_information_from_continuous_observations(p_right: float) -> 
     q = _tiger_values(200, sigma)
     optimal = int(np.argmax([np.interp(p_right, BELIEFS, row) for row in q]))
     assert optimal == LISTEN
-    model = tiger(gaussian=True, sigma=sigma)
+    model = tiger(gaussian=True)
     for options in (OPTIONS, replace(OPTIONS, backup=Backup.MEAN, cells=Cells.LIKELIHOOD)):
         assert _shares(model, p_right, options, 20)[LISTEN] >= 0.85
 

@@ -6,14 +6,9 @@ from importlib import resources
 
 import numpy as np
 import pytest
-import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import binom
 from skd_sim.controllers.cal import (
     GAP,
-    REACTION_TIME,
-    STANDOFF,
     segment,
     shipped_network,
 )
@@ -21,34 +16,13 @@ from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, load_scenario
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
-from train_hazard_network import digest, generate_scenes, on_collision_course, probabilities_of
+from train_hazard_network import digest, generate_scenes, probabilities_of
 
 CROSSING = load_scenario("crossing")
 FRESH_SEED = 20_240_607  # of no training
 
 
 # --- the label
-
-
-@settings(max_examples=300)
-@given(
-    st.floats(-5.0, 30.0),
-    st.floats(-6.0, 6.0),
-    st.floats(-3.0, 3.0),
-    st.floats(-3.0, 3.0),
-    st.floats(0.0, 12.0),
-    st.sampled_from([0.0, 0.2]),
-)
-def test_collision_course_against_shapely(ahead, left, va, vl, speed, margin):
-    """The course, as wide as the adversary, meets the rectangle that the car sweeps until it stands."""
-    stand = REACTION_TIME + speed / 3.5
-    reach = speed * REACTION_TIME + speed**2 / 7.0 + STANDOFF
-    zone = shapely.box(0.0, -0.9 - margin, reach + margin, 0.9 + margin)
-    course = shapely.LineString([(ahead, left), (ahead + stand * va, left + stand * vl)])
-    distance = course.distance(zone)
-    if abs(distance - 0.25) > 1e-9:
-        found = on_collision_course(ahead, left, va, vl, speed, 0.9, 0.25, 3.5, margin, 0.0)
-        assert found == (distance < 0.25)
 
 
 # --- perception
