@@ -20,9 +20,7 @@ from skd_sim.kernels.compilation import kernel
 
 
 @kernel
-def gaussian_observe(
-    parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray, rng: np.random.Generator
-) -> None:
+def gaussian_observe(parameters, state, action, heard, rng):
     heard[0] = (2.0 * state[0] - 1.0 if action == LISTEN else 0.0) + rng.standard_normal()
 
 
@@ -56,9 +54,7 @@ def ring_initial(parameters: RingParameters, state: FloatArray, rng: np.random.G
 
 
 @kernel
-def ring_step(
-    parameters: RingParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
-) -> tuple[float, bool]:
+def ring_step(parameters, state, action, after, rng):
     after[0] = state[0]
     if rng.random() < parameters.forward:
         after[0] = (state[0] + action) % parameters.cells
@@ -66,9 +62,7 @@ def ring_step(
 
 
 @kernel
-def ring_observe(
-    parameters: RingParameters, state: FloatArray, action: int, seen: FloatArray, rng: np.random.Generator
-) -> None:
+def ring_observe(parameters, state, action, seen, rng):
     seen[0] = state[0] + parameters.sigma * rng.standard_normal()
 
 
@@ -84,13 +78,7 @@ def ring_rollout(parameters: RingParameters, state: FloatArray, rng: np.random.G
 
 
 @kernel
-def ring_reinvigorate(
-    parameters: RingParameters,
-    state: FloatArray,
-    seen: FloatArray,
-    redrawn: FloatArray,
-    rng: np.random.Generator,
-) -> None:
+def ring_reinvigorate(parameters, state, seen, redrawn, rng):
     redrawn[0] = min(max(round(seen[0]), 0), parameters.cells - 1)
 
 

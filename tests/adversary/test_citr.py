@@ -141,9 +141,7 @@ MISTAKES: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
 
 
 @pytest.mark.parametrize(("name", "change", "said"), MISTAKES.values(), ids=MISTAKES)
-def test_what_nobody_can_have_done(
-    tmp_path: Path, name: str, change: Callable[[list[str]], list[str]], said: str
-) -> None:
+def test_what_nobody_can_have_done(tmp_path, name, change, said):
     LookAlike().write(tmp_path)
     _rows(tmp_path / name, change)
     with pytest.raises(UsageError) as caught:

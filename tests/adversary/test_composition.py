@@ -30,9 +30,7 @@ def _begin(parameters: Any, state: FloatArray) -> None:
 
 
 @template
-def _step(
-    parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
-) -> tuple[float, bool]:
+def _step(parameters, state, action, next_state, rng):
     vx, vy = velocity(parameters, state, action)
     move(parameters, state, vx, vy, next_state, rng)
     next_state[ROW] = state[ROW] + 1.0

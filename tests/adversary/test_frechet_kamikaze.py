@@ -87,9 +87,7 @@ def _rows(path: np.ndarray, psi: np.ndarray) -> list[np.ndarray]:
 
 
 @given(path=curve, psi=curve)
-def test_last_entry_is_the_discrete_frechet_distance_to_each_prefix(
-    path: list[tuple[float, float]], psi: list[tuple[float, float]]
-) -> None:
+def test_last_entry_is_the_discrete_frechet_distance_to_each_prefix(path, psi):
     phi, walked = np.array(path), np.array(psi)
     for count, state in enumerate(_rows(phi, walked), start=1):
         assert (state[:BEGIN] == 7.0).all()

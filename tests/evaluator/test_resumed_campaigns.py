@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
@@ -30,9 +28,7 @@ class Car:
         ("weights.bin", None),
     ],
 )
-def test_another_car_behind_the_same_module_is_refused(
-    here: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str | None
-) -> None:
+def test_another_car_behind_the_same_module_is_refused(here, monkeypatch, name, text):
     monkeypatch.syspath_prepend(str(here))
     (here / "read_car.py").write_text(CAR)
     (here / "the_law.py").write_text("def decide(gain): return -gain\n")

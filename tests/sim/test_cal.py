@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_sim.controllers.cal import FEATURES, CalController, CalState, HazardNetwork
-from skd_sim.controllers.protocol import Controller, SensingController
+from skd_sim.controllers.protocol import SensingController
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.world import World
@@ -26,9 +26,7 @@ def answering(logit: float) -> HazardNetwork:
     return HazardNetwork(*zeros, np.array([logit]))
 
 
-def drive(
-    controller: Controller, scenario: Scenario, adversary: AdversaryState, ticks: int, gap: float
-) -> list[CarState]:
+def drive(controller, scenario, adversary, ticks, gap):
     """Run a car against an adversary that keeps its velocity, to the end or to a collision."""
     world = World(
         scenario,

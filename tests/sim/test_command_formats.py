@@ -12,9 +12,7 @@ SPEEDS = st.floats(0.0, 40.0)
 
 
 @given(target=SPEEDS, speed=SPEEDS, duration=st.floats(0.01, 1.0), limit=st.floats(0.0, 20.0))
-def test_a_speed_target_is_reached_as_soon_as_all_limits_allow(
-    target: float, speed: float, duration: float, limit: float
-) -> None:
+def test_a_speed_target_is_reached_as_soon_as_all_limits_allow(target, speed, duration, limit):
     """Its own limit is a magnitude, of decelerations too, and none where it is zero."""
     acceleration = follow_speed(target, speed, duration, BOUNDS, limit)
     greatest = min(3.0, limit or 3.0) if target > speed else min(8.0, limit or 8.0)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.dynamics.multi_body import (
     BMW_320I,
@@ -52,9 +51,7 @@ def scenario(friction: float = 1.0, **changes: Any) -> Scenario:
     return replace(BASE, road=replace(BASE.road, friction=friction), car=car)
 
 
-def drive(
-    setting: Scenario, speed: float, commands: list[float], *, duration: float = TICK, step: float = 0.001
-) -> tuple[FloatArray, MultiBodyCar]:
+def drive(setting, speed, commands, *, duration=TICK, step=0.001):
     """Path under a list of commands, from the origin northwards, and the car at its end."""
     car = MultiBodyCar(setting, step=step)
     car.reset(CarState(0.0, 0.0, math.pi / 2, speed))
@@ -91,9 +88,7 @@ def test_dry_stopping_distance_is_the_published_one() -> None:
     speed=st.floats(0.0, 30.0),
     antilock=st.booleans(),
 )
-def test_energy_never_rises_without_throttle(
-    commands: list[float], friction: float, speed: float, antilock: bool
-) -> None:
+def test_energy_never_rises_without_throttle(commands, friction, speed, antilock):
     """Kinetic energy of travel and of the wheels' spin, after every 10 ms.
 
     The speed alone may rise by what the wheels, as flywheels, give back: less than a millionth.

@@ -30,16 +30,7 @@ def _contact(start: tuple[float, float], end: tuple[float, float], radius: float
     y=coordinate,
     heading=st.floats(-7.0, 7.0),
 )
-def test_distance_to_the_footprint_in_the_world(
-    ahead: float,
-    left: float,
-    front: float,
-    rear: float,
-    half_width: float,
-    x: float,
-    y: float,
-    heading: float,
-) -> None:
+def test_distance_to_the_footprint_in_the_world(ahead, left, front, rear, half_width, x, y, heading):
     """The car's polygon and the point, both placed in the world by an independent rotation."""
     turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
     corners = [(front, half_width), (-rear, half_width), (-rear, -half_width), (front, -half_width)]
@@ -53,9 +44,7 @@ def test_distance_to_the_footprint_in_the_world(
 
 @settings(max_examples=200)  # the first call compiles
 @given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), radius=length)
-def test_first_contact_against_dense_samples(
-    start: tuple[float, float], end: tuple[float, float], radius: float
-) -> None:
+def test_first_contact_against_dense_samples(start, end, radius):
     """Distance is 1-Lipschitz in the position: samples bound the first contact from both sides."""
     fraction = _contact(start, end, radius)
     s = np.linspace(0.0, 1.0, 4001)
@@ -81,9 +70,7 @@ def test_first_contact_against_dense_samples(
         assert distances.min() <= radius + spacing
 
 
-def _boxes(
-    start: tuple[float, float], end: tuple[float, float], turned: float, half_length: float, half_width: float
-) -> float:
+def _boxes(start, end, turned, half_length, half_width):
     footprint = (FRONT, REAR, HALF_WIDTH)
     return float(first_contact_of_boxes(*start, *end, turned, *footprint, half_length, half_width))
 
@@ -96,9 +83,7 @@ def _boxes(
     half_length=length,
     half_width=length,
 )
-def test_first_contact_of_boxes_against_polygons(
-    start: tuple[float, float], end: tuple[float, float], turned: float, half_length: float, half_width: float
-) -> None:
+def test_first_contact_of_boxes_against_polygons(start, end, turned, half_length, half_width):
     """The swept box is a convex hull; where it stands at the contact it touches, and nowhere before."""
     car = shapely.box(-REAR, -HALF_WIDTH, FRONT, HALF_WIDTH)
     other = affinity.rotate(

@@ -42,9 +42,7 @@ def strays(tick: int) -> list[Message]:
 
 
 @given(order=st.data(), ticks=st.integers(1, 6), repeats=st.tuples(st.integers(1, 3), st.integers(1, 3)))
-def test_messages_in_any_order_give_the_same_episode(
-    order: st.DataObject, ticks: int, repeats: tuple[int, int]
-) -> None:
+def test_messages_in_any_order_give_the_same_episode(order, ticks, repeats):
     """However answers, their repetitions and strays overtake each other: one step a tick, with its own two commands."""
     bench = Bench()
     bench.begin()

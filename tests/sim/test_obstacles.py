@@ -38,9 +38,7 @@ def distance_to_polygon(corners: np.ndarray, x: float, y: float) -> float:
 
 
 @given(COORDINATE, COORDINATE, COORDINATE, COORDINATE, st.floats(-3.0, 3.0), st.floats(0.1, 8.0), st.floats(0.1, 3.0))
-def test_a_step_into_a_rectangle_is_one_whose_points_come_too_near(
-    x: float, y: float, x_after: float, y_after: float, heading: float, length: float, width: float
-) -> None:
+def test_a_step_into_a_rectangle_is_one_whose_points_come_too_near(x, y, x_after, y_after, heading, length, width):
     parked = Obstacle(0.5, -0.5, heading, length, width)
     rectangles = replace(CROSSING, obstacles=(parked,)).rectangles
     shares = np.linspace(0.0, 1.0, 400)

@@ -53,9 +53,7 @@ def sampled(line: np.ndarray) -> tuple[np.ndarray, shapely.LineString]:
 
 @settings(max_examples=40)
 @given(parts=some_parts, origin=fraction, at=fraction, x=coordinate, y=coordinate)
-def test_both_ways_against_a_sampled_line(
-    parts: list[tuple[float, float]], origin: float, at: float, x: float, y: float
-) -> None:
+def test_both_ways_against_a_sampled_line(parts, origin, at, x, y):
     line = centre_line(parts, origin * sum(length for length, _ in parts))
     s, path = sampled(line)
     wanted = s[0] + at * (s[-1] - s[0])
@@ -82,9 +80,7 @@ def test_both_ways_against_a_sampled_line(
 
 
 @given(parts=some_parts, origin=fraction)
-def test_the_crossing_point_is_the_origin_and_the_lane_leads_north_there(
-    parts: list[tuple[float, float]], origin: float
-) -> None:
+def test_the_crossing_point_is_the_origin_and_the_lane_leads_north_there(parts, origin):
     line = centre_line(parts, origin * sum(length for length, _ in parts))
     assert road_pose(line, 0.0) == pytest.approx((0.0, 0.0, HEADING_NORTH), abs=1e-9)
 

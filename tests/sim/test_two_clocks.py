@@ -125,9 +125,7 @@ def test_contacts_are_where_a_fine_look_finds_them(periods: int, episode_id: int
     periods=st.integers(1, 60),
     time_step=st.floats(0.05, 2.0),
 )
-def test_stamps_say_which_tick_and_period_it_is(
-    start: int, tick: int, period: int, periods: int, time_step: float
-) -> None:
+def test_stamps_say_which_tick_and_period_it_is(start, tick, period, periods, time_step):
     period %= periods
     stamp = period_stamp(start, tick, period, periods, time_step)
     assert period_of(stamp, start, time_step, periods) == (tick, period)
