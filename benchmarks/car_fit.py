@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 from skd_adversary.car_models.car_model_file import car_model_text
-from skd_adversary.car_models.fit import fit_car
+from skd_adversary.car_models.fit import fit_with_law
 from skd_adversary.car_models.observations import observe
 from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -54,7 +54,7 @@ def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
         "speed_noise": car.speed_noise,
     }
     logs = [run_episode(spec) for spec in probe_episodes(scenario, episodes, seed=seed, multiplier=multiplier)]
-    fitted = fit_car(observe([recording_of(log) for log in logs]))
+    fitted = fit_with_law(observe([recording_of(log) for log in logs]))[0]
     found: dict[str, Any] = {"multiplier": multiplier, "seed": seed, "family": fitted.chosen}
     found["p_value"] = fitted.calibration.p_value if fitted.calibration else None
     for name, true in truth.items():
@@ -71,7 +71,7 @@ def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProces
     """Compare the SKD of kamikazes that plan with a fitted model with that of those that know C."""
     scenario = load_scenario("crossing")
     logs = list(runner.run(probe_episodes(scenario, arguments.episodes, seed=1, multiplier=multiplier)))
-    fitted = fit_car(observe([recording_of(log) for log in logs]))
+    fitted = fit_with_law(observe([recording_of(log) for log in logs]))[0]
     plan = Plan(scenario, multiplier=multiplier, safe_count=5, kamikaze_count=arguments.kamikaze_count)
     plan = replace(plan, objective=Objective(arguments.objective))
     safe = safe_trajectories(plan, runner)

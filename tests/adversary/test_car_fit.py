@@ -9,7 +9,7 @@ import pytest
 from recorded_cars import KAPPA, SCENARIO, LateCar, LimitedCar, MoodyCar, TimeToCollisionCar, logs_of
 from scipy import stats
 from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar
-from skd_adversary.car_models.fit import fit_car
+from skd_adversary.car_models.fit import fit_with_law
 from skd_adversary.car_models.identifiability import (
     half_width_estimate,
 )
@@ -52,7 +52,7 @@ def test_half_width_interval_is_exact():
 
 @pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
 def test_basic_car(multiplier):
-    car = fit_car(logs_of(BasicController(multiplier), 250, seed=3))
+    car = fit_with_law(logs_of(BasicController(multiplier), 250, seed=3))[0]
     assert car.chosen == "distance"
     assert estimate(car, "trigger") == pytest.approx(multiplier * KAPPA, rel=0.03)
     assert estimate(car, "deceleration") == pytest.approx(3.5, rel=0.03)
@@ -76,7 +76,7 @@ def test_basic_car(multiplier):
 
 
 def test_time_to_collision_car():
-    car = fit_car(logs_of(TimeToCollisionCar(), 250, seed=5))
+    car = fit_with_law(logs_of(TimeToCollisionCar(), 250, seed=5))[0]
     assert (car.measure, car.gate, car.spread) == ("time", "predicted", "sharp")
     assert estimate(car, "trigger") == pytest.approx(1.2, rel=0.01)
     assert estimate(car, "path_half_width") == pytest.approx(1.4, rel=0.02)
@@ -85,14 +85,14 @@ def test_time_to_collision_car():
 
 
 def test_reaction_delay():
-    car = fit_car(logs_of(LateCar(1.0), 150, seed=6))
+    car = fit_with_law(logs_of(LateCar(1.0), 150, seed=6))[0]
     assert car.chosen == "distance, 2 ticks late"
     assert estimate(car, "reaction_delay") == pytest.approx(0.6)
     assert estimate(car, "trigger") == pytest.approx(KAPPA, rel=0.03)
 
 
 def test_trigger_that_differs_per_episode():
-    car = fit_car(logs_of(MoodyCar(1.0), 250, seed=7))
+    car = fit_with_law(logs_of(MoodyCar(1.0), 250, seed=7))[0]
     assert car.spread == "episode"
     trigger, spread = car.parameters["trigger"], car.parameters["trigger_spread"]
     assert trigger.interval is not None
@@ -103,7 +103,7 @@ def test_trigger_that_differs_per_episode():
 
 
 def test_speeding_up_is_limited():
-    car = fit_car(logs_of(LimitedCar(1.0), 250, seed=11))
+    car = fit_with_law(logs_of(LimitedCar(1.0), 250, seed=11))[0]
     assert car.chosen == "distance"
     assert estimate(car, "cruise_acceleration") == pytest.approx(1.5, rel=0.05)
     assert estimate(car, "cruise_gain") == pytest.approx(0.8, rel=0.25)
@@ -153,7 +153,7 @@ def test_kolmogorov_smirnov_is_scipys():
     ],
 )
 def test_not_identifiable(multiplier, count, unknown, reason):
-    car = fit_car(logs_of(BasicController(multiplier), count, seed=4))
+    car = fit_with_law(logs_of(BasicController(multiplier), count, seed=4))[0]
     for name in unknown:
         parameter = car.parameters[name]
         assert parameter.reason.startswith("not identifiable: "), name

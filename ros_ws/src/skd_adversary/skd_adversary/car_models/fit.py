@@ -47,6 +47,7 @@ from skd_adversary.car_models.laws import (
 from skd_adversary.car_models.observations import Observations
 from skd_adversary.car_models.speed_change import (
     SpeedChange,
+    acceleration_line,
     braking_estimates,
     densities,
     fit_speed_change,
@@ -78,11 +79,6 @@ def _learn(
     change = refit(change, data.of(rows), free, braking)
     e = evidence(change, data, chosen.law.family, rows)
     return change, replace(chosen, law=fit_family(chosen.law.family, e), evidence=e), candidates
-
-
-def fit_car(data: Observations, *, seed: int = 0, version: str = "unknown") -> FittedCar:
-    """Return the car that the logs show, by a law; see `fit_with_law`."""
-    return fit_with_law(data, seed=seed, version=version)[0]
 
 
 def fit_with_law(
@@ -239,14 +235,7 @@ def _pull_estimates(
         some = free.of(limited)
         spread = change.speed_noise * some.speed / (math.sqrt(3.0) * free.time_step)
         limit_error = float(1.0 / math.sqrt(np.square(1.0 / spread).sum()))
-    free = free.of(~limited)
-    weight = 1.0 / np.maximum(free.speed, 0.5)
-    design = np.stack([free.speed, np.ones(len(free))], axis=1) * weight[:, None]
-    target = (free.speed_after - free.speed) / free.time_step * weight
-    solution, *_ = np.linalg.lstsq(design, target, rcond=None)
-    variance = float(np.square(target - design @ solution).sum()) / max(1, len(free) - 2)
-    covariance = variance * np.linalg.inv(design.T @ design)
-    slope, offset = float(solution[0]), float(solution[1])
+    slope, offset, covariance = acceleration_line(free.of(~limited))
     toward = np.array([offset / slope**2, -1.0 / slope])  # of −offset/slope
     cruise_error = math.sqrt(float(toward @ covariance @ toward))
     gain_error = math.sqrt(float(covariance[0, 0]))

@@ -236,13 +236,21 @@ def _clearly_pulled(p: SpeedChange, data: Observations, free: BoolArray) -> bool
     """Return whether, in free ticks, the change of speed depends on the speed by more than chance."""
     if free.sum() < 50 or np.ptp(data.speed[free]) < 0.2:
         return False
-    speed, weight = data.speed[free], 1.0 / np.maximum(data.speed[free], 0.5)
-    change = (data.speed_after - data.speed)[free] / data.time_step
-    design = np.stack([speed, np.ones_like(speed)], axis=1) * weight[:, None]
-    solution, *_ = np.linalg.lstsq(design, weight * change, rcond=None)
-    variance = float(np.square(weight * change - design @ solution).sum()) / (speed.size - 2)
-    error = math.sqrt(variance * float(np.linalg.inv(design.T @ design)[0, 0]))
-    return bool(solution[0] < -_CLEAR * error)
+    slope, _, covariance = acceleration_line(data.of(free))
+    return slope < -_CLEAR * math.sqrt(float(covariance[0, 0]))
+
+
+def acceleration_line(data: Observations) -> tuple[float, float, FloatArray]:
+    """Return slope (1/s) and offset (m/s²) of the acceleration over the speed by weighted least squares.
+
+    Also their 2 × 2 covariance. The noise of the speed is relative to it, and so are the weights.
+    """
+    weight = 1.0 / np.maximum(data.speed, 0.5)
+    design = np.stack([data.speed, np.ones(len(data))], axis=1) * weight[:, None]
+    target = (data.speed_after - data.speed) / data.time_step * weight
+    solution, *_ = np.linalg.lstsq(design, target, rcond=None)
+    variance = float(np.square(target - design @ solution).sum()) / max(1, len(data) - 2)
+    return float(solution[0]), float(solution[1]), np.asarray(variance * np.linalg.inv(design.T @ design))
 
 
 def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float]:

@@ -17,6 +17,7 @@ from skd_sim.kernels.compilation import bound, kernel, template, unbound
 from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.pomdp.model import Pomdp
+from skd_adversary.pomdp.tree import IndexArray
 
 RESAMPLE_BELOW = 0.5
 """Resample when the effective sample size is below this share of the particles."""
@@ -82,19 +83,19 @@ def effective_sample_size(weights: FloatArray) -> float:
     return 1.0 / np.sum(weights * weights)
 
 
-@kernel
-def resample(particles: FloatArray, weights: FloatArray, resampled: FloatArray, rng: np.random.Generator) -> None:
-    """Systematic resampling (Kitagawa 1996): n equally weighted particles into `resampled`."""
-    count = particles.shape[0]
+@kernel(allocates=False)
+def draw_sources(weights: FloatArray, sources: IndexArray, rng: np.random.Generator) -> None:
+    """Draw particles by their weights, systematically (Kitagawa 1996): each gets the share that is its due."""
+    count = sources.shape[0]
     offset = rng.random()
     cumulative = weights[0]
     source = 0
     for i in range(count):
         position = (i + offset) / count
-        while cumulative < position and source < count - 1:
+        while cumulative < position and source < weights.shape[0] - 1:
             source += 1
             cumulative += weights[source]
-        resampled[i] = particles[source]
+        sources[i] = source
 
 
 @kernel
@@ -141,6 +142,7 @@ class ParticleBelief:
         )
         self.particles = np.empty((count, model.state_dim))
         self._spare = np.empty_like(self.particles)
+        self._sources = np.empty(count, np.uint32)
         self.weights = np.full(count, 1.0 / count)
         self.depletions = 0
         self._draw(model.parameters, self.particles, self._rng)
@@ -168,7 +170,8 @@ class ParticleBelief:
             self._redraw(parameters, self.particles, observation, self._spare, self._rng)
             self.depletions += 1
         elif effective_sample_size(self.weights) < RESAMPLE_BELOW * len(self.weights):
-            resample(self.particles, self.weights, self._spare, self._rng)
+            draw_sources(self.weights, self._sources, self._rng)
+            np.take(self.particles, self._sources, axis=0, out=self._spare, mode="clip")
         else:
             return
         self.particles, self._spare = self._spare, self.particles

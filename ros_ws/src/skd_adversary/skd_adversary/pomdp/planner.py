@@ -30,7 +30,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import bound, kernel, template, unbound
 from skd_sim.kernels.stream import stream_of
 
-from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.belief import ParticleBelief, draw_sources
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.tree import (
     BLOCK,
@@ -154,18 +154,9 @@ class SearchMemory(NamedTuple):
 
 @kernel(allocates=False)
 def draw_roots(weights: FloatArray, roots: IndexArray, rng: np.random.Generator) -> None:
-    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
-    count = roots.shape[0]
-    offset = rng.random()
-    cumulative = weights[0]
-    source = 0
-    for i in range(count):
-        position = (i + offset) / count
-        while cumulative < position and source < weights.shape[0] - 1:
-            source += 1
-            cumulative += weights[source]
-        roots[i] = source
-    for i in range(count - 1, 0, -1):
+    """Draw a particle for each simulation, in random order."""
+    draw_sources(weights, roots, rng)
+    for i in range(roots.shape[0] - 1, 0, -1):
         j = int(rng.random() * (i + 1))
         roots[i], roots[j] = roots[j], roots[i]
 

@@ -182,9 +182,9 @@ class CarlaFrames:
         self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
         self._velocity = velocity
         if self._walks:
-            walker = walker_control(velocity, self._placement)
-            message = self._messages.CarlaWalkerControl(speed=walker.speed)
-            message.direction.x, message.direction.y = walker.x, walker.y
+            x, y, speed = walker_control(velocity, self._placement)
+            message = self._messages.CarlaWalkerControl(speed=speed)
+            message.direction.x, message.direction.y = x, y
             self._walker_control.publish(message)
         time.sleep(self._settings["settling_time"])
 

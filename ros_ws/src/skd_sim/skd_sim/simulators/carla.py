@@ -62,21 +62,6 @@ def _wrapped(angle: float) -> float:
     return math.remainder(angle, math.tau)
 
 
-class CarlaPedals(NamedTuple):
-    """Positions of the pedals, each in [0, 1]; at most one of them is above 0."""
-
-    throttle: float
-    brake: float
-
-
-class WalkerControl(NamedTuple):
-    """Where an adversary on foot goes: unit direction in the map and speed, m/s."""
-
-    x: float
-    y: float
-    speed: float
-
-
 def yaw_of(orientation: Any) -> float:
     """Return the rotation about z (rad) of a quaternion, whatever pitch and roll it has."""
     x, y, z, w = (float(getattr(orientation, name)) for name in "xyzw")
@@ -113,26 +98,22 @@ def box_from_odometry(message: Any, placement: Placement, velocity: tuple[float,
     return AdversaryState(*place, *velocity, float(on_grid(heading)))
 
 
-def pedals(acceleration: float, full_throttle: float, full_brake: float) -> CarlaPedals:
-    """Return the pedals for an acceleration command (m/s²), linear up to what a full pedal gives.
+def pedals(acceleration: float, full_throttle: float, full_brake: float) -> tuple[float, float]:
+    """Return throttle and brake, in [0, 1], for an acceleration command (m/s²), linear up to what a full pedal gives.
 
     Args:
         acceleration: commanded acceleration of the car, m/s².
         full_throttle: acceleration at full throttle, m/s², > 0.
         full_brake: deceleration at full brake, m/s², > 0.
     """
-    return CarlaPedals(
-        min(1.0, max(0.0, acceleration / full_throttle)),
-        min(1.0, max(0.0, -acceleration / full_brake)),
-    )
+    return min(1.0, max(0.0, acceleration / full_throttle)), min(1.0, max(0.0, -acceleration / full_brake))
 
 
-def walker_control(velocity: tuple[float, float], placement: Placement) -> WalkerControl:
-    """Return the control of an adversary on foot for a velocity (m/s) in the crossing's frame."""
+def walker_control(velocity: tuple[float, float], placement: Placement) -> tuple[float, float, float]:
+    """Return where an adversary on foot goes for a velocity in the crossing's frame: direction (x, y), speed, m/s."""
     speed = math.hypot(*velocity)
-    if speed == 0.0:
-        return WalkerControl(*placement.vector_to_map(1.0, 0.0), 0.0)
-    return WalkerControl(*placement.vector_to_map(velocity[0] / speed, velocity[1] / speed), speed)
+    ahead = (1.0, 0.0) if speed == 0.0 else (velocity[0] / speed, velocity[1] / speed)
+    return (*placement.vector_to_map(*ahead), speed)
 
 
 CARLA = "carla"

@@ -15,11 +15,10 @@ import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame
-from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
-from skd_sim.world.world import Contact, make_world
+from skd_sim.world.world import Contact, first_contact_of, make_world
 
 States = tuple[CarState, AdversaryState]
 
@@ -151,19 +150,11 @@ class FramedSimulator:
 
     def _touch(self, frame: int, now: States, then: States) -> Contact | None:
         """Return the first contact within a frame that counts: its fraction of the frame and the car's speed."""
-        scenario = self._episode.scenario
         (before, adversary), (after, adversary_then) = now, then
-        path, car = np.array([before, after]), scenario.car
-        bodies = [(scenario.adversary.shape, adversary, adversary_then)]
-        others = self._others(frame), self._others(frame + 1)
-        bodies += [(one.shape, here, there) for one, here, there in zip(scenario.others, *others, strict=True)]
-        first = Contact(math.inf, 0.0)
-        for shape, here, there in bodies:
-            footprint = (car.front, car.rear, car.half_width)
-            found = Contact(*sweep(path, here[:2], there[:2], (0.0, 0.0), there.heading, footprint, shape, 1.0, 0, 1))
-            if found.fraction < first.fraction and found.speed >= scenario.collision.minimum_impact_speed:
-                first = found
-        return first if first.fraction <= 1.0 else None
+        here, there = (adversary, *self._others(frame)), (adversary_then, *self._others(frame + 1))
+        moves = [(one[:2], end[:2], end[2:4], end.heading) for one, end in zip(here, there, strict=True)]
+        contact = first_contact_of(self._episode.scenario, np.array([before, after]), moves)
+        return contact if contact.fraction <= 1.0 else None
 
 
 def _frames_per_period(scenario: Scenario, frame_step: float) -> int:

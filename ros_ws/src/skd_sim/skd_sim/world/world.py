@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CarDynamics, Noise, command_limits, make_dynamics
 from skd_sim.world.episode import EpisodeSpec, Role, generator
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid, velocity_on_grid
+from skd_sim.world.state import AdversaryState, CarState, on_grid, velocity_on_grid
 
 
 class Contact(NamedTuple):
@@ -131,14 +132,18 @@ class World:
             heading = float(on_grid(self.scenario.adversary.heading(origin.heading, *velocity)))
         step = self.scenario.time_step
         x, y = origin.x + step * velocity[0], origin.y + step * velocity[1]
-        fraction, impact = first_contact_of(self.scenario, path, origin, velocity, heading, self.tick, period)
-        counts = fraction <= 1.0
+        moves: list[Move] = [(origin[:2], (x, y), velocity, heading)]
+        if self.scenario.others:
+            others = self.scenario.others_at(self.tick), self.scenario.others_at(self.tick + 1)
+            moves += [(one[:2], then[:2], then[2:4], then.heading) for one, then in zip(*others, strict=True)]
+        contact = first_contact_of(self.scenario, path, moves, step, period, periods)
+        counts = contact.fraction <= 1.0
         if not counts and period < periods - 1:
             passed = step * (period + 1) / periods
             x, y = origin.x + passed * velocity[0], origin.y + passed * velocity[1]
         if self.scenario.adversary.is_box:
             velocity = velocity_on_grid(*velocity)
-        return AdversaryState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
+        return AdversaryState(x, y, *velocity, heading), contact if counts else None
 
 
 def first_car_state(scenario: Scenario, gap: float, start_rng: np.random.Generator) -> CarState:
@@ -155,46 +160,30 @@ def first_car_state(scenario: Scenario, gap: float, start_rng: np.random.Generat
     return CarState(x, y, float(on_grid(heading)), car.start_speed)
 
 
+Move = tuple[tuple[float, float], tuple[float, float], tuple[float, float], float]
+"""Places (x, y) of a road user when a step begins and ends, m, its velocity, m/s, and its heading, rad."""
+
+
 def first_contact_of(
-    scenario: Scenario,
-    path: FloatArray,
-    adversary: RoadUserState,
-    velocity: tuple[float, float],
-    heading: float,
-    tick: int,
-    period: int,
-) -> tuple[float, float]:
-    """Return the car's first contact in a control period with the adversary or one of the others.
+    scenario: Scenario, path: FloatArray, moves: Iterable[Move], step: float = 1.0, period: int = 0, periods: int = 1
+) -> Contact:
+    """Return the car's first contact that counts as a collision; its fraction of the step is infinite without one.
 
     Args:
         scenario: fixed description of the test.
         path: path of the car in the period, see `CarDynamics.advance`.
-        adversary: state of the adversary when the tick began.
-        velocity: velocity of the adversary over the tick, (East, North), m/s.
-        heading: heading of the adversary's box in the tick, rad.
-        tick: number of the tick in which the period is.
-        period: number of the period in the tick.
-
-    Returns:
-        Fraction of the tick, infinity without a contact that counts as a collision, and the car's speed there, m/s.
+        moves: of the adversary, and of the others of the scenario.
+        step: duration of the step, s.
+        period: number of the period in the step.
+        periods: number of periods in a step.
     """
-    car, step, periods = scenario.car, scenario.time_step, scenario.control_periods
+    car, first = scenario.car, Contact(math.inf, 0.0)
     footprint, least = (car.front, car.rear, car.half_width), scenario.collision.minimum_impact_speed
-    end = adversary.x + step * velocity[0], adversary.y + step * velocity[1]
-    share, speed = sweep(
-        path, adversary[:2], end, velocity, heading, footprint, scenario.adversary.shape, step, period, periods
-    )
-    if not speed >= least:
-        share = math.inf
-    if scenario.others:
-        moves = zip(scenario.others, scenario.others_at(tick), scenario.others_at(tick + 1), strict=True)
-        for other, (x, y, *_), after in moves:
-            found, impact = sweep(
-                path, (x, y), after[:2], after[2:4], after.heading, footprint, other.shape, step, period, periods
-            )
-            if found < share and impact >= least:
-                share, speed = found, impact
-    return share, speed
+    for body, move in zip((scenario.adversary, *scenario.others), moves, strict=True):
+        found = Contact(*sweep(path, *move, footprint, body.shape, step, period, periods))
+        if found.fraction < first.fraction and found.speed >= least:
+            first = found
+    return first
 
 
 def make_world(episode: EpisodeSpec) -> World:

@@ -28,7 +28,6 @@ from skd_evaluator.extensions.campaign.cells import CHECKED, Cell
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
-_HEX = 16  # digits of a digest that are shown
 
 
 class CampaignFolder:
