@@ -8,16 +8,24 @@ follows from the content of assessment.json, so stored results are judged in the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
+from skd_evaluator.metrics.vulnerability_curve import GRID
+
 _TOTAL: Final = "episodes"
 _ALONG: Final = ("contact_rate", "nominal_collision_rate")
 _SHARES: Final = ("success_rate", "kamikaze_success_rate", "deviation_success_rate")
 _OF_RANKING: Final = ("deviation", "deviation_of_successes", "deviation_success_rate")
+_CURVE: Final = "vulnerability_curve.kamikazes"
+_OF_CURVE: Final = {
+    "deviation": [f"{_CURVE}.area_above"],
+    "deviation_success_rate": [f"{_CURVE}.points.{number}.probability" for number in range(GRID)],
+}
+"""Figures of the curve of kamikazes, by the figure that has their counts."""
 
 Figures = Mapping[str, Any]
 """Content of assessment.json."""
@@ -84,7 +92,7 @@ def lost_in(figures: Figures) -> list[Lost]:
     for number, one in enumerate(_budgets(figures)):
         lost = one["aborted"]
         name, label = f"vulnerability_curve.budgets.{number}.probability", "the share of these that are hit"
-        found.append(Lost(_held(one), lost, one["trials"] + lost, name, label, True))
+        found.append(Lost(_bounded(one), lost, one["trials"] + lost, name, label, True))
     tests = figures.get("static_tests") or ()
     found.append(Lost("static tests", sum(bool(one["aborted"]) for one in tests), len(tests)))  # each says so itself
     return [one for one in found if one.aborted]
@@ -102,19 +110,17 @@ def _lines(figures: Figures) -> Iterator[str]:
             yield f"R({scale['scale']:g}) is not known: {many} of subset simulation {_were(lost)} aborted"
     for one in lost_in(figures):
         said = f"{one} {_were(one.aborted)} aborted and count{'s' * (one.aborted == 1)} for nothing"
-        worst, value = at_worst(figures, one.figure), _value(figures, one.figure.split("."))
+        worst, value = at_worst(figures, one.figure), value_of(figures, one.figure)
         if worst is None or (value is None and one.aborted < one.episodes):
             yield said
         elif value is None:
             yield f"{said}; no other is left, so {one.label} is not known"
         else:
-            shown = _metres if one.figure.startswith("objectives.") else _percent
             how = "hit in it" if one.aborted == 1 else "hit in all of them"
-            where = " without any deviation" if shown is _metres else ""
-            yield (
-                f"{said}; if the car had {how}{where}, {one.label} would be {shown(worst.value)} in place of "
-                f"{shown(value)}"
-            )
+            would, is_now = f"{100 * worst.value:.1f} %", f"{100 * value:.1f} %"
+            if one.figure.startswith("objectives."):
+                how, would, is_now = f"{how} without any deviation", f"{worst.value:.2f} m", f"{value:.2f} m"
+            yield f"{said}; if the car had {how}, {one.label} would be {would} in place of {is_now}"
 
 
 def too_many_aborted(figures: Figures, maximum: float) -> str | None:
@@ -151,16 +157,14 @@ def at_worst(figures: Figures, name: str) -> Worst | None:
         figures: content of assessment.json.
         name: of the figure, as in `figure_names`.
     """
-    words = name.split(".")
-    value, found = _value(figures, words), _counts(figures, words)
+    found = next((one for one, names in _counts(figures) if name in names), None)
     if found is None or not found.aborted:
         return None
-    hits = 0.0 if value is None else value * found.values
+    hits = (value_of(figures, name) or 0.0) * found.values
     if found.share:
         hits = round(hits) + found.aborted  # they were counted
-    return Worst(
-        hits / (found.values + found.aborted), f"{found.aborted} of {found.values + found.aborted} {found.what}"
-    )
+    every = found.values + found.aborted
+    return Worst(hits / every, f"{found.aborted} of {every} {found.what}")
 
 
 class _Counts(NamedTuple):
@@ -169,81 +173,57 @@ class _Counts(NamedTuple):
     values: int
     aborted: int
     what: str
-    share: bool
+    share: bool = True
 
 
-def _counts(figures: Figures, words: Sequence[str]) -> _Counts | None:
-    match words:
-        case [key] if key in _ALONG:
-            return _Counts(figures.get("collision_runs", 0), _lost_along(figures), "runs along φ", True)
-        case ["per_safe_trajectory", number, "contact_rate"]:  # nobody says on which φ they were aborted
-            runs = _entry(figures, "per_safe_trajectory", number).get("collision_runs", 0)
-            return _Counts(runs, _lost_along(figures), "runs along φ", True)
-        case ["per_safe_trajectory", number, key]:
-            return _counts(figures, ["objectives", _objective(figures, key), "per_safe_trajectory", number, key])
-        case ["objectives", name, "per_safe_trajectory", number, key]:
-            row = _entry(figures, "objectives", name, "per_safe_trajectory", number)
-            return _of_kamikazes(row, row.get("trials", 0) - row.get("aborted", 0), key)
-        case ["objectives", name, key]:
-            one = _entry(figures, "objectives", name)
-            return _of_kamikazes(one, one.get("trials", 0), key)
-        case ["risk", "scales", number, "value"]:
-            return _of_crossings(_entry(figures, "risk", "scales", number))
-        case [key] if key.startswith("risk_"):
-            return next((_of_crossings(one) for one in _scales(figures) if f"risk_{one['scale']:g}" == key), None)
-        case ["vulnerability_curve", "budgets", number, "probability"]:
-            one = _entry(figures, "vulnerability_curve", "budgets", number)
-            return _Counts(one.get("trials", 0), one.get("aborted", 0), f"kamikazes held to η = {one['eta']:g} m", True)
-        case ["vulnerability_curve", "kamikazes", "points", _, "probability"]:
-            return _counts(figures, ["deviation_success_rate"])
-        case ["vulnerability_curve", "kamikazes", "area_above"]:
-            return _counts(figures, ["deviation"])
-        case [key]:
-            return _counts(figures, ["objectives", _objective(figures, key), key])
-    return None
+def _counts(figures: Figures) -> Iterator[tuple[_Counts, Collection[str]]]:
+    """Yield the counts of all figures that aborted episodes would have counted for, with the names of these."""
+    along, phis = _lost_along(figures), figures.get("per_safe_trajectory") or ()
+    yield _Counts(figures.get("collision_runs", 0), along, "runs along φ"), _ALONG
+    for number, one in enumerate(phis):  # nobody says on which φ they were aborted
+        runs = one.get("collision_runs", 0)
+        yield _Counts(runs, along, "runs along φ"), [f"per_safe_trajectory.{number}.contact_rate"]
+    for number, one in enumerate(_scales(figures)):
+        # Of a risk that subset simulation has found there is no such share.
+        if not one.get("subset_aborted") and one["episodes"] == one["runs"] + one["aborted"]:
+            names = [f"risk.scales.{number}.value", f"risk_{one['scale']:g}"]
+            yield _Counts(one["runs"], one["aborted"], _crossings(one)), names
+    for number, one in enumerate(_budgets(figures)):
+        names = [f"vulnerability_curve.budgets.{number}.probability"]
+        yield _Counts(one["trials"], one["aborted"], _bounded(one)), names
+    for objective, one in (figures.get("objectives") or {}).items():
+        yield from _of_kamikazes(figures, objective, one, "", one.get("trials", 0))
+        for number, row in enumerate(one.get("per_safe_trajectory") or ()):
+            trials = row["trials"] - row["aborted"]
+            yield from _of_kamikazes(figures, objective, row, f"per_safe_trajectory.{number}.", trials)
 
 
-def _of_kamikazes(entry: Figures, trials: int, key: str) -> _Counts | None:
-    """Return the same of a figure of kamikazes, from an entry that has their counts."""
-    counts = {
+def _of_kamikazes(
+    figures: Figures, objective: str, entry: Figures, place: str, trials: int
+) -> Iterator[tuple[_Counts, Collection[str]]]:
+    """Yield the same of the kamikazes of an objective, from an entry that has their counts."""
+    values = {
         **dict.fromkeys(("deviation", *_SHARES), trials),
         "deviation_of_successes": trials - entry.get("failed", 0),
         **dict.fromkeys(("skd", "skd_prefix"), entry.get("pairs", 0)),
     }
-    return _Counts(counts[key], entry.get("aborted", 0), "kamikazes", key in _SHARES) if key in counts else None
+    for key, count in values.items():
+        names = [f"objectives.{objective}.{place}{key}"]
+        if objective == first_of(RANKING_OBJECTIVES if key in _OF_RANKING else SKD_OBJECTIVES, figures["objectives"]):
+            names += [f"{place}{key}", *(_OF_CURVE.get(key, ()) if not place else ())]
+        yield _Counts(count, entry.get("aborted", 0), "kamikazes", key in _SHARES), names
 
 
-def _of_crossings(one: Figures) -> _Counts | None:
-    """Return the same of a risk that is a share of crude crossings; None of one that subset simulation has found."""
-    if not one or one.get("subset_aborted") or one["episodes"] != one["runs"] + one["aborted"]:
-        return None
-    return _Counts(one["runs"], one["aborted"], _crossings(one), True)
-
-
-def _objective(figures: Figures, key: str) -> str:
-    """Return the objective of which a figure at the top is."""
-    ran = figures.get("objectives")
-    return str(first_of(RANKING_OBJECTIVES if key in _OF_RANKING else SKD_OBJECTIVES, ran)) if ran else ""
-
-
-def _value(figures: Figures, words: Sequence[str]) -> float | None:
-    value = _inside(figures, words)
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
-
-
-def _entry(figures: Figures, *words: str) -> Figures:
-    found = _inside(figures, words)
-    return found if isinstance(found, Mapping) else {}
-
-
-def _inside(figures: Figures, words: Sequence[str]) -> Any:
+def value_of(figures: Figures, name: str) -> float | None:
+    """Return a figure by its name; None where it is not defined, or there is none of this name."""
     value: Any = figures
-    for word in words:
+    for word in name.split("."):
         if isinstance(value, Sequence) and word.isdigit() and int(word) < len(value):
             value = value[int(word)]
         else:
             value = value.get(word) if isinstance(value, Mapping) else None
-    return value
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if number and math.isfinite(value) else None
 
 
 def _lost_along(figures: Figures) -> int:
@@ -263,20 +243,12 @@ def _crossings(scale: Figures) -> str:
     return f"crossings of the risk at scale {scale['scale']:g}"
 
 
-def _held(budget: Figures) -> str:
-    return f"kamikazes held to η = {budget['eta']:g} m"
+def _bounded(budget: Figures) -> str:
+    return f"kamikazes bounded to η = {budget['eta']:g} m"
 
 
 def _were(count: int) -> str:
     return "was" if count == 1 else "were"
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %"
-
-
-def _metres(value: float) -> str:
-    return f"{value:.2f} m"
 
 
 NOT_CREDIBLE: Final = "not credible: "

@@ -27,6 +27,7 @@ from skd_evaluator.assessment.figure_table import (
     or_null,
     ref,
 )
+from skd_evaluator.metrics.aborted import value_of
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
 
 _KINDS = (table.NUMBER, table.SHARE, table.INTERVAL, table.COUNT, table.FLAG, table.TEXT, table.LINES)
@@ -320,16 +321,11 @@ def figure(result: Mapping[str, Any], name: str) -> float | None:
 
     An equivalent multiplier beyond all C that were compared is infinite.
     """
-    value: Any = result
-    for word in name.split("."):
-        if isinstance(value, list) and word.isdigit() and int(word) < len(value):
-            value = value[int(word)]
-        else:
-            value = value.get(word) if isinstance(value, Mapping) else None
+    value = value_of(result, name)
     if value is None and name == "equivalent_multiplier":
         side = (result["equivalent_multiplier_text"] or "").partition(" ")[0]
         return {"above": math.inf, "below": -math.inf}.get(side)
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+    return value
 
 
 if __name__ == "__main__":
