@@ -46,10 +46,7 @@ def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Assess
         assert result[name] == of_paper[name]
     assert result["kamikaze_success_rate"] == of_paper["success_rate"]
     for row, ours, theirs in zip(
-        result["per_safe_trajectory"],
-        of_deviation["per_safe_trajectory"],
-        of_paper["per_safe_trajectory"],
-        strict=True,
+        result["per_safe_trajectory"], of_deviation["per_safe_trajectory"], of_paper["per_safe_trajectory"], strict=True
     ):
         assert (row["deviation"], row["skd"]) == (ours["deviation"], theirs["skd"])
     json.dumps(result, allow_nan=False)

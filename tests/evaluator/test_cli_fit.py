@@ -95,10 +95,7 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["episode", "-p", "command_type:=twist"], ["--command-type goes with --controller external"]),
         (["probe", "--controller", "cal", "--multiplier", "0.5"], ["--multiplier", "basic controller", "cal has none"]),
         (["fit", "list.yaml"], ["list.yaml", "give episodes.npz"]),
-        (
-            ["assess", "--safe", "synthetik"],
-            ["synthetik", "give synthetic, own, walkers, regulatory, or"],
-        ),
+        (["assess", "--safe", "synthetik"], ["synthetik", "give synthetic, own, walkers, regulatory, or"]),
         (["sweep", "--safe", "own"], ["--safe own goes with skd assess"]),
         (["probe", "--scenario", "nowhere"], ["nowhere", "not a readable file"]),
     ],

@@ -18,15 +18,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
-from skd_evaluator.driving.drive import (
-    Controls,
-    Hand,
-    LeftError,
-    Onlooker,
-    Situation,
-    Wish,
-    driving_in_process,
-)
+from skd_evaluator.driving.drive import Controls, Hand, LeftError, Onlooker, Situation, Wish, driving_in_process
 from skd_evaluator.driving.screen import KEYS, Screen, top_view
 from skd_evaluator.metrics.surrogate_measures import clearance_at
 from skd_sim.scenario.scenario import load_scenario

@@ -95,8 +95,7 @@ def test_the_margin_found_from_the_east_is_the_exact_one_from_the_west(number: i
 def test_a_region_ends_the_episode() -> None:
     """Somebody who walks along the lane, and has arrived 6 m further."""
     along = changed(
-        adversary={"start_x": 1.6, "destination_x": None},
-        ending={"arrived": {"ahead_of": 6.0}, "missed": {}},
+        adversary={"start_x": 1.6, "destination_x": None}, ending={"arrived": {"ahead_of": 6.0}, "missed": {}}
     )
     end = along.end
     assert not end.arrived(0.0, 6.0)

@@ -6,14 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessment.figure_table import (
-    AT_THE_TOP,
-    FIGURES,
-    OF_OBJECTIVES,
-    OF_PHI,
-    Of,
-    shown_in,
-)
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, FIGURES, OF_OBJECTIVES, OF_PHI, Of, shown_in
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner

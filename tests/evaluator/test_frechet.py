@@ -7,10 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.metrics.frechet import (
-    discrete_frechet,
-    discrete_frechet_pairs,
-)
+from skd_evaluator.metrics.frechet import discrete_frechet, discrete_frechet_pairs
 
 GOOD = [[0.0, 0.0], [1.0, 1.0]]
 

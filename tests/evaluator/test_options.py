@@ -18,14 +18,7 @@ from skd_evaluator.cli.assess import graph_options
 from skd_evaluator.cli.commands import make_parser, parse
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import BOTH, Objective
-from skd_sim.options.options import (
-    FIELDS,
-    EpisodeOptions,
-    SimulatorOptions,
-    option,
-    options_from_text,
-    options_of,
-)
+from skd_sim.options.options import FIELDS, EpisodeOptions, SimulatorOptions, option, options_from_text, options_of
 from skd_sim.ros.from_messages import message_to_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode

@@ -80,9 +80,7 @@ def drawn(path) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "counts",
-    [[3], [0], [0, 3, 1], [2] * 9, [60, 50]],
-    ids=["one", "none", "first-empty", "more-than-six", "many"],
+    "counts", [[3], [0], [0, 3, 1], [2] * 9, [60, 50]], ids=["one", "none", "first-empty", "more-than-six", "many"]
 )
 def test_trajectories(tmp_path, counts):
     draw(tmp_path / "picture.png", assessment(counts))

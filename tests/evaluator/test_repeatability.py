@@ -18,12 +18,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.checks import (
-    SAMPLE,
-    driving,
-    repeatability,
-    sample_of,
-)
+from skd_evaluator.assessment.stages.checks import SAMPLE, driving, repeatability, sample_of
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers.loading import make_controller

@@ -7,13 +7,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.assessment.compare.comparison import (
-    LESS_SAFE,
-    NOT_TOLD_APART,
-    SAFER,
-    Comparison,
-    compare,
-)
+from skd_evaluator.assessment.compare.comparison import LESS_SAFE, NOT_TOLD_APART, SAFER, Comparison, compare
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan

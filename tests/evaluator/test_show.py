@@ -88,11 +88,7 @@ def test_films(skd_here, here, result, monkeypatch):
 def test_what_is_not_there(skd_here, here, sweep, result):
     one_line(skd_here(*DRAW, str(sweep), "--out", "x"), 2, "2 assessments")
     one_line(skd_here(*DRAW, str(result), "--episode", "7", "--out", "x"), 2, "holds no such episode")
-    one_line(
-        skd_here(*DRAW, str(result), "--objective", "frechet", "--out", "x"),
-        2,
-        "no episode of that kind",
-    )
+    one_line(skd_here(*DRAW, str(result), "--objective", "frechet", "--out", "x"), 2, "no episode of that kind")
     assert not (here / "x").exists()
 
 

@@ -43,10 +43,7 @@ def no_files(here: Path) -> Iterator[Path]:
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ["assess", *SMALL, "--out", "out", "--junit"],
-        ["report", "recorded", "--overwrite", "--out"],
-    ],
+    [["assess", *SMALL, "--out", "out", "--junit"], ["report", "recorded", "--overwrite", "--out"]],
     ids=lambda words: f"{words[0]} {words[-1]}",
 )
 def test_what_is_no_file_stays_what_it_is(words: list[str], skd_here: Run, here: Path, no_files: Path) -> None:

@@ -34,10 +34,7 @@ def random_pairs(seed: int = 0, safe: int = 4, kamikazes: int = 15):
         return path(np.cumsum(rng.normal(size=(n, 2)), axis=0))
 
     return [
-        (
-            Trajectory(walk(12).positions, STEP, f"φ{k}"),
-            [walk(int(rng.integers(2, 18))) for _ in range(kamikazes + k)],
-        )
+        (Trajectory(walk(12).positions, STEP, f"φ{k}"), [walk(int(rng.integers(2, 18))) for _ in range(kamikazes + k)])
         for k in range(safe)
     ]
 

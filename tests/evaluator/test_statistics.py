@@ -65,8 +65,7 @@ def test_bound_follows_the_papers_algebra(delta, variance, share):
 
 
 @pytest.mark.parametrize(
-    "distribution",
-    [stats.gamma(4.0), stats.expon(), stats.uniform(0.0, 2.0), stats.lognorm(0.5), stats.bernoulli(0.7)],
+    "distribution", [stats.gamma(4.0), stats.expon(), stats.uniform(0.0, 2.0), stats.lognorm(0.5), stats.bernoulli(0.7)]
 )
 def test_bound_holds_for_distributions_of_nonnegative_distances(distribution):
     sample = distribution.rvs(size=200_000, random_state=np.random.default_rng(2))

@@ -15,12 +15,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.episode_figures import Surrogates, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, entries, figures_html
-from skd_evaluator.assessment.objective_result import (
-    CONFIDENCE,
-    KamikazeSet,
-    ObjectiveResult,
-    objective_result,
-)
+from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, ObjectiveResult, objective_result
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate

@@ -359,12 +359,7 @@ class Prior:
         return replace(self, skewness=-self.skewness)
 
     def interval(
-        self,
-        means: FloatArray,
-        counts: FloatArray,
-        inside: float,
-        confidence: float,
-        precision: float = EXACT,
+        self, means: FloatArray, counts: FloatArray, inside: float, confidence: float, precision: float = EXACT
     ) -> Interval | None:
         """Return how far the interval reaches below and above the mean over all values.
 

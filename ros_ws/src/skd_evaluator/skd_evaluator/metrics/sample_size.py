@@ -135,13 +135,7 @@ def sizes_for_width(
 
 
 def sizes_for_power(
-    difference: float,
-    wanted: float,
-    between: float,
-    within: float,
-    *,
-    paired: bool,
-    counts: Sequence[int] = COUNTS,
+    difference: float, wanted: float, between: float, within: float, *, paired: bool, counts: Sequence[int] = COUNTS
 ) -> list[Size]:
     """Return for each number of trials the least number of φ that tells a difference with the power wanted."""
 

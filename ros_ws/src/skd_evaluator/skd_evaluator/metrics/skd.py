@@ -14,13 +14,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, GroupedMean, clustered_mean
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs
-from skd_evaluator.metrics.statistics import (
-    Interval,
-    bound_influence,
-    frechet_probability_bound,
-    mean,
-    sample_variance,
-)
+from skd_evaluator.metrics.statistics import Interval, bound_influence, frechet_probability_bound, mean, sample_variance
 
 
 class Skd(NamedTuple):

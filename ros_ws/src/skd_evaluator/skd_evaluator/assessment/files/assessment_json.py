@@ -17,16 +17,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, read_json
 
 from skd_evaluator.assessment import figure_table as table
-from skd_evaluator.assessment.figure_table import (
-    AT_THE_TOP,
-    OF_OBJECTIVES,
-    OF_PHI,
-    Of,
-    Schema,
-    keys_of,
-    or_null,
-    ref,
-)
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Of, Schema, keys_of, or_null, ref
 from skd_evaluator.metrics.aborted import value_of
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
 

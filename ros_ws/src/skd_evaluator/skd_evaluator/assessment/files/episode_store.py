@@ -219,8 +219,7 @@ class EpisodeStore:
             some = specifications[start : start + _AT_ONCE]
             marks = ",".join("?" * len(some))
             rows = self._ask(
-                f"SELECT specification FROM episodes WHERE cell = ? AND specification IN ({marks})",
-                (cell, *some),
+                f"SELECT specification FROM episodes WHERE cell = ? AND specification IN ({marks})", (cell, *some)
             )
             found.update(row[0] for row in rows)
         return found

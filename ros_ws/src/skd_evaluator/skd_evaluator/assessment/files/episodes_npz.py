@@ -300,8 +300,7 @@ _COLUMNS = _columns(
     "time_step f8, hit_speed f8",
 )
 _FURTHER = _columns(
-    "clipped i8, reason U, safe_name U, objectives U, plans_deviation ?",
-    "eta_max f8, maximum_distance f8, seed i8",
+    "clipped i8, reason U, safe_name U, objectives U, plans_deviation ?", "eta_max f8, maximum_distance f8, seed i8"
 )
 """What figures follow from beside the trajectories; see `verification`."""
 _MARGIN = _columns(

@@ -279,11 +279,7 @@ class Workers(ABC):
                 future.cancel()
 
     def _results(
-        self,
-        work: Callable[[Any], Any],
-        items: Sequence[Any],
-        future: Future[Any],
-        lost: Callable[[Any, str], Any],
+        self, work: Callable[[Any], Any], items: Sequence[Any], future: Future[Any], lost: Callable[[Any, str], Any]
     ) -> Iterator[Any]:
         """Yield the results of a chunk, once they are there."""
         try:

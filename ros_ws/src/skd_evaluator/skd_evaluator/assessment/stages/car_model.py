@@ -125,12 +125,7 @@ def learned(
     return replace(plan, car_model=text)
 
 
-def learn(
-    plan: Plan,
-    runner: Runner,
-    progress: Progress = silent,
-    of_reference: Runner | None = None,
-) -> FittedCar:
+def learn(plan: Plan, runner: Runner, progress: Progress = silent, of_reference: Runner | None = None) -> FittedCar:
     """Return what probes and own trials show of a plan's car; neither its seed nor its φ matter.
 
     Args:
@@ -241,11 +236,7 @@ _ENOUGH: Final = 0.98  # of the trials hit: what is left to be gained is not in 
 
 
 def with_waiting_reward(
-    plan: Plan,
-    car: FittedCar,
-    safe: Sequence[Trajectory],
-    runner: Runner,
-    progress: Progress,
+    plan: Plan, car: FittedCar, safe: Sequence[Trajectory], runner: Runner, progress: Progress
 ) -> FittedCar:
     """Return a learned car with the waiting reward by which kamikazes stray least; one that fails counts as η_max.
 

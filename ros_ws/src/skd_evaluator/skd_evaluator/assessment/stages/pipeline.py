@@ -92,9 +92,6 @@ def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[EpisodeSpec
         for objective in wanted
         for model in models
         for episode in warm_up_episodes(
-            plan.controller,
-            objective=objective,
-            car_model=model,
-            dynamics=plan.scenario.car.dynamics,
+            plan.controller, objective=objective, car_model=model, dynamics=plan.scenario.car.dynamics
         )
     ]
