@@ -37,10 +37,10 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, 
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 
-from skd_evaluator.assessment.files.episodes_npz import FARTHEST, within_reach
-
 ROUNDING = 1e-9
 """m, m/s, s: what another processor's rounding may change."""
+_FARTHEST = 1e6
+"""m, m/s, rad: no state is beyond; squares of what is 10¹⁴⁸ times as far are infinite."""
 UNLIKE = 1.0
 """Deviation where something happened in one of the two and not in the other."""
 _COS, _SIN = math.cos(HEADING_NORTH), math.sin(HEADING_NORTH)
@@ -330,8 +330,8 @@ def _form(log: EpisodeLog) -> str:
             return ""
     elif count == 1:
         return "has no tick"
-    if not within_reach(log.adversary, log.car):
-        return f"has a state that is not finite, or beyond ±{FARTHEST:g}"
+    if not all((np.abs(one) <= _FARTHEST).all() for one in (log.adversary, log.car)):
+        return f"has a state that is not finite, or beyond ±{_FARTHEST:g}"
     return ""
 
 

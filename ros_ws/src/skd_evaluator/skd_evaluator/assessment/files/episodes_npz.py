@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import itertools
 import math
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,69 +30,7 @@ from skd_evaluator.metrics.deviation import Hit, deviation_pairs
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 
-LARGEST = 128 * 2**20
-"""Bytes of all arrays of a file together, unpacked: some 400,000 episodes."""
-
-FARTHEST = 1e6
-"""m, m/s, s, rad: no state that is read is beyond; squares of what is 10¹⁴⁸ times as far are infinite."""
-
 Array = npt.NDArray[Any]
-
-
-class Column(NamedTuple):
-    """What an array has to be: its type, and its shape with −1 for any length."""
-
-    dtype: npt.DTypeLike
-    shape: tuple[int, ...]
-
-
-def within_reach(*arrays: Array) -> bool:
-    """Tell whether all numbers are finite and none is beyond `FARTHEST`."""
-    return all(bool((np.abs(one) <= FARTHEST).all()) for one in arrays)
-
-
-def read_arrays(
-    path: Path, columns: Mapping[str, Column], optional: Mapping[str, Column] | None = None
-) -> dict[str, Array]:
-    """Return named arrays of an .npz file; other arrays in it are not read.
-
-    Args:
-        path: path of the .npz file.
-        columns: arrays that have to be in the file, by name.
-        optional: arrays that may be in the file, by name.
-
-    Raises:
-        UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has
-            one of another type or shape, or holds more than `LARGEST` bytes.
-    """
-    with open_regular(path) as stream:
-        try:
-            with zipfile.ZipFile(stream) as archive:
-                there = set(archive.namelist())
-                columns = {**columns, **{name: one for name, one in (optional or {}).items() if f"{name}.npy" in there}}
-                members = {name: archive.getinfo(f"{name}.npy") for name in columns}
-                size = sum(member.file_size for member in members.values())
-                if size > LARGEST:
-                    raise UsageError(f"its arrays have {size} bytes; at most {LARGEST // 2**20} MiB are read")
-                return {name: _array(archive.read(members[name]), name, column) for name, column in columns.items()}
-        except KeyError as error:
-            raise UsageError(f"{path}: {error.args[0]}") from error
-        except UsageError as error:
-            raise UsageError(f"{path}: {error}") from error
-        except Exception as error:  # its readers raise whatever the bytes make them raise
-            said = " ".join(f"{type(error).__name__}: {error}".split())[:120]
-            raise UsageError(f"{path}: is not an episodes.npz of SKD, or is damaged ({said})") from error
-
-
-def _array(content: bytes, name: str, column: Column) -> Array:
-    """Return the array in a member of the archive."""
-    found: Array = np.lib.format.read_array(BytesIO(content), allow_pickle=False)
-    lengths = [there if wanted < 0 else wanted for there, wanted in zip(found.shape, column.shape, strict=False)]
-    any_text = np.dtype(column.dtype) == np.dtype("U") and found.dtype.kind == "U"
-    if not (any_text or found.dtype == column.dtype) or found.shape != (*lengths, *column.shape[found.ndim :]):
-        wanted = " × ".join("n" if length < 0 else str(length) for length in column.shape) or "a single value"
-        raise UsageError(f"{name} must be {np.dtype(column.dtype)}, {wanted}; it is {found.dtype}, {found.shape}")
-    return found
 
 
 _NOWHERE = (math.nan, math.nan)
@@ -286,35 +222,8 @@ def _risk_columns(assessment: Assessment) -> Columns:
 EPISODES = "episodes.npz"
 
 
-def _columns(rows: str, single: str = "") -> dict[str, Column]:
-    """Return columns of texts: name, type and, where a row has several values, their number."""
-    found = {}
-    for name, dtype, *width in map(str.split, rows.split(",")):
-        found[name] = Column(dtype, (-1, *map(int, width)))
-    return {**found, **{name: Column(dtype, ()) for name, dtype in map(str.split, filter(None, single.split(",")))}}
-
-
-_COLUMNS = _columns(
-    "positions f8 2, car f8 3, heading f8, offsets i8, mode i1, safe_index i4, outcome i1, episode_id i8, "
-    "impact_time f8, impact_speed f8, objective U16",
-    "time_step f8, hit_speed f8",
-)
-_FURTHER = _columns(
-    "clipped i8, reason U, safe_name U, objectives U, plans_deviation ?", "eta_max f8, maximum_distance f8, seed i8"
-)
-"""What figures follow from beside the trajectories; see `verification`."""
-_MARGIN = _columns(
-    "margin f8, margin_safe_index i4, margin_trial i8, margin_duration f8, margin_impact_speed f8, margin_gap f8, "
-    "margin_positions f8 2, margin_offsets i8"
-)
-"""There where the margin is known."""
-_OPTIONAL = _columns(
-    "own_contact f8, risk_scale f8, risk_touch i1, risk_share f8, risk_levels i8, risk_per_level i8, risk_open i8, "
-    "risk_lost i8, risk_tick i4, risk_failure i8, risk_failure_positions f8 2, risk_failure_car f8 3, "
-    "risk_failure_heading f8, risk_failure_offsets i8, risk_failure_impact_time f8, risk_failure_impact_speed f8"
-)
-"""Likewise what figures follow from, where it was requested."""
 _ROUNDING = 1e-9  # m
+_OF_STATES = ("car", "heading", "belief")
 _OF_EPISODES = ("clipped", "reason", "own_contact")
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
 
@@ -460,142 +369,101 @@ def read_episodes(folder: Path, name: str = EPISODES) -> StoredEpisodes:
     """Read episodes.npz of a folder, of an assessment or of a probe, which has no φ.
 
     Raises:
-        UsageError: it cannot be read, or its arrays do not go together.
+        UsageError: it cannot be read, is damaged (its checksums are compared), or its arrays do not go together.
     """
     path = folder / name
-    arrays = read_arrays(path, {**_COLUMNS, **_FURTHER}, {"belief": Column("f4", (-1, 4)), **_MARGIN, **_OPTIONAL})
-    why = _mismatch(arrays)
-    if why:
-        raise UsageError(f"{path}: {why}")
-    spans = list(itertools.pairwise(arrays["offsets"].tolist()))
-    safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
-    rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
-    states = {"positions": arrays["positions"], "car": _car_states("", arrays)}
-    tracks = {name: tuple(one[slice(*spans[row])] for row in rest) for name, one in states.items()}
-    if "belief" in arrays:
-        with np.errstate(invalid="ignore"):  # nan of a kind that signals is nan
-            tracks["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
-    whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
-    phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
-    margin_hits = _margin_ways(arrays, phis, path)
+    with open_regular(path) as stream:
+        try:
+            with np.load(stream, allow_pickle=False) as file:
+                return _stored({one: file[one] for one in file.files})
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from error
+        except Exception as error:  # its readers raise whatever the bytes make them raise
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+            raise UsageError(f"{path}: is not an episodes.npz of SKD, or is damaged ({said})") from error
+
+
+def _stored(arrays: Mapping[str, Array]) -> StoredEpisodes:
+    """Return the episodes in the arrays of a file.
+
+    Raises:
+        UsageError, ValueError, LookupError: these do not go together.
+    """
+    if why := _mismatch(arrays):
+        raise UsageError(why)
+    safe, rest = np.flatnonzero(arrays["mode"] == Mode.SAFE), np.flatnonzero(arrays["mode"] != Mode.SAFE)
+    spans = [slice(*ends) for ends in itertools.pairwise(arrays["offsets"].tolist())]
+
+    def each(states: Array, rows: IntArray) -> tuple[FloatArray, ...]:
+        return tuple(states[spans[row]] for row in rows)
+
+    found = {name: arrays[name][rest] for name in _PER_EPISODE}
+    phis = each(arrays["positions"], safe)
+    further = {name: one for name, one in arrays.items() if name not in (*_PER_EPISODE, "positions", *_OF_STATES)}
     stored = StoredEpisodes(
         safe=phis,
         time_step=float(arrays["time_step"]),
-        adversary=tracks["positions"],
-        car=tracks["car"],
-        mode=whole["mode"],
-        objective=arrays["objective"][rest],
-        safe_index=whole["safe_index"],
-        outcome=whole["outcome"],
-        episode_id=whole["episode_id"],
-        impact_time=arrays["impact_time"][rest],
-        impact_speed=arrays["impact_speed"][rest],
-        belief=tracks.get("belief", ()),
+        adversary=each(arrays["positions"], rest),
+        car=each(_car_states("", arrays), rest),
+        mode=found["mode"].astype(np.int64),
+        objective=found["objective"],
+        safe_index=found["safe_index"].astype(np.int64),
+        outcome=found["outcome"].astype(np.int64),
+        episode_id=found["episode_id"],
+        impact_time=found["impact_time"],
+        impact_speed=found["impact_speed"],
+        belief=each(arrays["belief"].astype(np.float64), rest) if "belief" in arrays else (),
         hit_speed=float(arrays["hit_speed"]),
-        margin_hits=margin_hits,
-        further=_further(arrays, rest),
+        margin_hits=_margin_hits(arrays, phis),
+        further={name: one[rest] if name in _OF_EPISODES else one for name, one in further.items()},
     )
-    try:
-        _ = stored.deviation  # a contact outside its last tick is found here
-    except (ValueError, IndexError) as error:
-        raise UsageError(f"{path}: {error}") from error
+    _ = stored.deviation  # a contact outside its last tick is found here
     return stored
 
 
-def _further(arrays: dict[str, npt.NDArray[Any]], rest: IntArray) -> dict[str, npt.NDArray[Any]]:
-    """Return what figures follow from beside the trajectories; `rest` are the rows that are no φ."""
-    found = {name: arrays[name] for name in (*_FURTHER, *_OPTIONAL) if name in arrays}
-    return {name: one[rest] if name in _OF_EPISODES else one for name, one in found.items()}
-
-
-def _margin_ways(
-    arrays: dict[str, npt.NDArray[Any]], safe: Sequence[FloatArray], path: Path
-) -> tuple[tuple[Hit | None, ...], ...]:
+def _margin_hits(arrays: Mapping[str, Array], safe: Sequence[FloatArray]) -> tuple[tuple[Hit | None, ...], ...]:
     """Return per φ the trajectory of minimal deviation of each trial, its deviation computed anew; empty without any.
 
     Raises:
-        UsageError: the arrays do not go together, or a trajectory has another deviation than is said.
+        UsageError: a trajectory has another deviation than is said.
     """
     if not len(arrays.get("margin", ())):
         return ()
-    if missing := [name for name in _MARGIN if name not in arrays]:
-        raise UsageError(f"{path}: it has margins and no {missing[0]}")
-    said, offsets = arrays["margin"], arrays["margin_offsets"]
-    index, positions = arrays["margin_safe_index"], arrays["margin_positions"]
-    of_trials = ("margin_trial", "margin_duration", "margin_impact_speed", "margin_gap", "margin_safe_index")
-    if not _cuts(offsets, len(positions), len(said)) or any(len(arrays[name]) != len(said) for name in of_trials):
-        raise UsageError(f"{path}: the arrays of the margins do not go together")
-    if not ((index >= 0) & (index < len(safe))).all():
-        raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")
-    step, found = float(arrays["time_step"]), []
+    said, offsets, step, found = arrays["margin"], arrays["margin_offsets"], float(arrays["time_step"]), []
     for number, phi in enumerate(safe):
-        rows = np.flatnonzero(index == number)
-        if (arrays["margin_trial"][rows] != np.arange(rows.size)).any():
-            raise UsageError(f"{path}: the trials of the margins are not numbered from 0")
+        rows = np.flatnonzero(arrays["margin_safe_index"] == number)
         known = rows[np.isfinite(said[rows])]
-        tracks = [positions[offsets[row] : offsets[row + 1]] for row in known.tolist()]
-        durations, speeds = arrays["margin_duration"][known], arrays["margin_impact_speed"][known]
-        try:
-            trajectories = [Trajectory(track, step) for track in tracks]
-            distances = deviation_pairs(phi, tracks, durations)
-        except (ValueError, IndexError) as error:
-            raise UsageError(f"{path}: a trajectory of the margins: {error}") from error
+        tracks = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in known.tolist()]
+        durations, speeds, gaps = (arrays[f"margin_{one}"][known] for one in ("duration", "impact_speed", "gap"))
+        distances = deviation_pairs(phi, tracks, durations)
         if (np.abs(distances - said[known]) > _ROUNDING).any():
-            raise UsageError(f"{path}: the trajectory of a margin has another deviation than it says")
-        columns = (distances.tolist(), trajectories, durations.tolist(), speeds.tolist())
-        by_row = dict(zip(known.tolist(), map(Hit, *columns, arrays["margin_gap"][known].tolist()), strict=True))
-        found.append(tuple(by_row.get(row) for row in rows.tolist()))
+            raise UsageError("the trajectory of a margin has another deviation than it says")
+        columns = ([Trajectory(track, step) for track in tracks], durations.tolist(), speeds.tolist(), gaps.tolist())
+        hits = dict(zip(known.tolist(), map(Hit, distances.tolist(), *columns), strict=True))
+        found.append(tuple(hits.get(row) for row in rows.tolist()))
     return tuple(found)
 
 
-def _cuts(offsets: IntArray, rows: int, count: int) -> bool:
-    """Whether offsets lead from 0 to `rows` in `count` steps, none of them backwards."""
-    # Compared, not subtracted: differences of numbers near 2⁶³ begin anew at the other end.
-    ends = len(offsets) == count + 1 and offsets[0] == 0 and offsets[-1] == rows
-    return bool(ends and (offsets[1:] >= offsets[:-1]).all())
-
-
-def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
+def _mismatch(arrays: Mapping[str, Array]) -> str:
     """Return why arrays are not those of episodes; empty where they are."""
     offsets, rows = arrays["offsets"], len(arrays["positions"])
-    # Differences of numbers near 2⁶³ begin anew at the other end, and `repeat` would write beyond its array.
-    if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (offsets[1:] <= offsets[:-1]).any():
-        return "its offsets do not cut its positions into trajectories"
-    count = len(offsets) - 1
-    of_rows = [name for name in ("car", "heading", "belief") if name in arrays]
-    of_episodes = [name for name in (*_PER_EPISODE, *_OF_EPISODES) if name in arrays]
-    if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in of_episodes):
+    lengths, count = np.diff(offsets), len(offsets) - 1
+    cut = count > 0 and offsets[0] == 0 and offsets[-1] == rows and (offsets[1:] > offsets[:-1]).all()
+    of_states = [arrays[name] for name in _OF_STATES if name in arrays]
+    of_episodes = [arrays[name] for name in (*_PER_EPISODE, *_OF_EPISODES) if name in arrays]
+    if not cut or any(len(one) != rows for one in of_states) or any(len(one) != count for one in of_episodes):
         return "its arrays do not go together"
-    for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):
-        if not np.isin(arrays[name], values).all():
-            return f"{name} has a value that this version does not know"
-    is_safe = arrays["mode"] == Mode.SAFE
+    is_safe, phi = arrays["mode"] == Mode.SAFE, arrays["safe_index"]
     probes = (arrays["episode_id"] >> 48 == Stage.PROBE).all()
-    if not is_safe.any() and not probes:
-        return "it has no φ"
-    if not probes and not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
-        return "safe_index has a number of a φ that is not there"
-    of_episode = np.repeat(~is_safe, np.diff(offsets))
-    # Of an episode that was aborted before it began there is no state of the car.
-    never_began = np.repeat((arrays["outcome"] == Outcome.ABORTED) & (np.diff(offsets) == 1), np.diff(offsets))
-    known = of_episode & ~(never_began & np.isnan(arrays["car"]).all(axis=1))
-    if not within_reach(arrays["positions"], arrays["car"][known], arrays["heading"][known]):
-        return f"a state is not finite, or beyond ±{FARTHEST:g}"
-    hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
-    if (np.diff(offsets)[hit] < 2).any() or not within_reach(arrays["impact_time"][hit]):
-        return "a collision has no trajectory or no time"
-    speeds = arrays["impact_speed"][hit]
-    if not (within_reach(speeds) and (speeds >= 0.0).all()):
-        return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"
-    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.NOMINAL)):
-        if not probes and ((arrays["mode"] == mode) & (arrays["episode_id"] >> 48 != stage)).any():
-            return f"an episode id is not of its mode, {mode.name}"
-    if not 1.0 / FARTHEST <= arrays["time_step"] <= FARTHEST:
-        return f"time_step must be from {1.0 / FARTHEST:g} to {FARTHEST:g} s"
-    belief = arrays.get("belief", np.empty((0, 4)))
-    if not within_reach(belief[~np.isnan(belief)]) or (belief[:, 1::2] < 0.0).any():
-        return f"a belief is beyond ±{FARTHEST:g}, or has a negative deviation"
-    return ""
+    if not probes and not (is_safe.any() and (phi >= 0).all() and (phi < is_safe.sum()).all()):
+        return "it has episodes of a φ that is not there"
+    # Of an episode that was aborted before it began, and of φ, there is no state of the car.
+    never_began = (arrays["outcome"] == Outcome.ABORTED) & (lengths == 1)
+    known = np.repeat(~(is_safe | never_began), lengths)
+    if not all(np.isfinite(one).all() for one in (arrays["positions"], arrays["car"][known], arrays["heading"][known])):
+        return "a state is not finite"
+    speeds = arrays["impact_speed"][~is_safe & (arrays["outcome"] == Outcome.COLLISION)]
+    return "" if (np.isfinite(speeds) & (speeds >= 0.0)).all() else "a collision has no impact speed"
 
 
 def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[Any]]:
@@ -622,33 +490,26 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
         ValueError, LookupError: the arrays do not go together.
     """
     further, phis = stored.further, len(stored.safe)
-    rows = further["risk_failure"].tolist() if "risk_failure" in further else []
+    there = further["risk_failure"].tolist() if "risk_failure" in further else []
+    rows = there if order is None else list(order)
+    places = [there.index(row) for row in rows]
+    kept = {name: further.get(f"risk_failure_{name}", np.empty(0)) for name in ("impact_time", "impact_speed")}
     spans, positions, car = [], np.empty((0, 2)), np.empty((0, 4))
-    times = speeds = np.empty(0)
-    if rows:
-        positions, car = further["risk_failure_positions"], _car_states("risk_failure_", further)
-        times, speeds = further["risk_failure_impact_time"], further["risk_failure_impact_speed"]
+    if there:
         ends = further["risk_failure_offsets"].tolist()
-        spans = list(itertools.pairwise(ends))
-        whole = ends[0] == 0 and ends[-1] == len(positions) == len(car) and all(b - a > 1 for a, b in spans)
-        if not whole or not len(spans) == len(times) == len(speeds) == len(rows) or min(rows) < 0:
-            raise ValueError("the arrays of the failures do not go together")
-        if not within_reach(positions, car, times, speeds):
-            raise ValueError(f"a place, time or speed of a failure is not finite, or beyond ±{FARTHEST:g}")
-    if order is not None:
-        places = [rows.index(row) for row in order]
-        rows, spans, times, speeds = list(order), [spans[one] for one in places], times[places], speeds[places]
+        positions, car = further["risk_failure_positions"], _car_states("risk_failure_", further)
+        spans = [slice(ends[place], ends[place + 1]) for place in places]
     return replace(
         stored,
-        adversary=tuple(positions[low:high] for low, high in spans),
-        car=tuple(car[low:high] for low, high in spans),
+        adversary=tuple(positions[one] for one in spans),
+        car=tuple(car[one] for one in spans),
         mode=np.full(len(rows), int(Mode.REPLAY), np.int64),
         objective=np.array([""] * len(rows), "U16"),
         safe_index=np.array([row % phis for row in rows], np.int64),
         outcome=np.full(len(rows), int(Outcome.COLLISION), np.int64),
         episode_id=np.array([episode_id(Stage.RISK, row % phis, row // phis) for row in rows], np.int64),
-        impact_time=times,
-        impact_speed=speeds,
+        impact_time=kept["impact_time"][places],
+        impact_speed=kept["impact_speed"][places],
         belief=(),
         margin_hits=(),
         further={},
