@@ -168,23 +168,3 @@ def test_a_car_that_cannot_be_run_cannot_be_learned(small_lessons: None) -> None
     plan = Plan(CROSSING, controller=OWN, adversary_model=AdversaryModel.LEARNED)
     with pytest.raises(AssessmentError, match=r"all 24 probes were aborted \(no licence\)"):
         learned(plan, _Aborts())
-
-
-def test_another_car_is_kept_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the model follows from: files of the controller, its command, scenario, graph; not seed, budget or φ."""
-    (tmp_path / "car_of_mine.py").write_text("class Car: pass\n", encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    plan = Plan(CROSSING, controller="car_of_mine:Car", adversary_model=AdversaryModel.LEARNED)
-    here = model_folder(plan, None)
-    assert here == model_folder(replace(plan, seed=3, simulations=7, kamikaze_count=2), None)
-    slower = replace(CROSSING, car=replace(CROSSING.car, start_speed=7.0))
-    others = [model_folder(replace(plan, scenario=slower), None), model_folder(plan, {"pacing": "real_time"})]
-    (tmp_path / "its_law.py").write_text("GAIN = 1\n", encoding="utf-8")
-    others.append(model_folder(plan, None))
-    (tmp_path / "its_law.py").write_text("GAIN = 2\n", encoding="utf-8")
-    others.append(model_folder(plan, None))
-    external, node = replace(plan, controller="external"), tmp_path / "node"
-    node.touch()
-    others += [model_folder(external, {"controller_command": f"{node} --gain {gain}"}) for gain in (1, 2)]
-    assert len({here, *others}) == 1 + len(others)
-    assert model_folder(external, {}) is None  # whatever somebody has started

@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Assessment, in_order
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import command_age, missed_periods, standing_contacts
 from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.report.presentation import picture_names
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -50,22 +49,6 @@ def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Assess
     ):
         assert (row["deviation"], row["skd"]) == (ours["deviation"], theirs["skd"])
     json.dumps(result, allow_nan=False)
-
-
-@pytest.mark.parametrize("objective", list(Objective))
-def test_the_only_one_gives_every_figure(objective: Objective) -> None:
-    found = rate(PLAN, [objective], [straight()], StubRunner(lambda _episode: Outcome.COLLISION)).as_dict()
-    (figures,) = found["objectives"].values()
-    assert found["skd"] == figures["skd"] is not None
-    assert found["deviation"] == figures["deviation"] is not None
-
-
-def test_of_frechet_and_deviation_each_is_first_in_its_own() -> None:
-    runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    found = rate(PLAN, [FRECHET, DEVIATION], [straight()], runner)
-    assert (found.for_skd.plan.objective, found.for_deviation.plan.objective) == (FRECHET, DEVIATION)
-    assert in_order([FRECHET, PAPER, DEVIATION, PAPER]) == (DEVIATION, PAPER, FRECHET)
-    assert list(picture_names(found)) == ["trajectories.png", "trajectories_frechet.png"]
 
 
 def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:

@@ -48,21 +48,6 @@ class Memory(Anticipating):
         self.asked += 1
         return super().command(car, adversary) if self.asked < 6 else -6.0
 
-class Late(Anticipating):
-    "Does not brake; in batches it does, and hard, where it is not asked by command as well."
-    confirmed, first = set(), None
-    def command(self, car, adversary):
-        self.confirmed.add((car.y, adversary.y))
-        return 0.0
-    def commands(self, cars, adversaries):
-        if self.first is None:  # in the first tick nobody knows who is going to be asked by command
-            self.first = list(zip(cars.y.tolist(), adversaries.y.tolist()))
-            self.confirmed.clear()
-            return np.zeros(len(cars.x))
-        if len(cars.x) < len(self.first):
-            return np.zeros(len(cars.x))
-        return np.array([0.0 if row in self.confirmed else -8.0 for row in self.first])
-
 class Seldom(Anticipating):
     "Does not brake; in batches it does for whom it would hit next, from a second before."
     def command(self, car, adversary):
@@ -71,15 +56,6 @@ class Seldom(Anticipating):
         seconds = (adversaries.y - cars.y - self._front) / np.maximum(cars.speed, 0.5)
         beside = np.abs(adversaries.x + seconds * adversaries.vx - cars.x)
         return -8.0 * ((seconds > 0.3) & (seconds < 1.0) & (beside < 0.2))
-
-class Short(Anticipating):
-    def commands(self, cars, adversaries):
-        return np.zeros(len(cars.x) + 1) if np.ndim(cars.x) else 0.0
-
-class Masked(Anticipating):
-    def commands(self, cars, adversaries):
-        found = super().commands(cars, adversaries)
-        return np.ma.array(found, mask=adversaries.x > 0.0) if np.ndim(cars.x) else found
 
 class Dies(Anticipating):
     def commands(self, cars, adversaries):
@@ -159,7 +135,7 @@ def test_a_replay_is_the_whole_episode_to_the_bit(period, safe):
     assert outcomes == {Outcome.COLLISION, Outcome.ARRIVED, Outcome.TIMEOUT}
 
 
-@pytest.mark.parametrize(("policy", "count"), [("Liar", 20), ("Memory", 20), ("Late", 20), ("Seldom", 120)])
+@pytest.mark.parametrize(("policy", "count"), [("Liar", 20), ("Memory", 20), ("Seldom", 120)])
 def test_two_forms_that_differ_are_said(policy, count, safe):
     """Of what decides, too: who saw which of 20 crossings command was asked in braked in the other 19."""
     with pytest.raises(AssessmentError, match=r"commands answers .* where command answers"):
@@ -189,8 +165,3 @@ def test_margins_side_by_side_are_those_one_by_one_to_the_bit(safe):
         if single is not None and side_by_side is not None:
             np.testing.assert_array_equal(single.trajectory.positions, side_by_side.trajectory.positions)
     assert any(one is not None for one in both[1])
-
-
-def test_a_margin_by_commands_that_command_does_not_confirm_is_said(safe):
-    with pytest.raises(AssessmentError, match="commands answers"):
-        margins("own_policies:Memory", safe, together=True)

@@ -18,7 +18,6 @@ from skd_evaluator.metrics.clustered import (
     cluster_error,
     clustered_mean,
     clustered_rate,
-    sample_skewness,
     variance_components,
 )
 
@@ -196,20 +195,6 @@ def test_it_is_the_posterior_of_the_one_way_layout(counts):
     assert held == pytest.approx(0.95, abs=3e-3)
     if len(set(counts)) == 1:
         assert centres == pytest.approx([found.value] * len(centres))
-
-
-def test_the_skewness_moves_one_end_by_cornish_and_fishers_term():
-    means, counts = np.array([1.0, 1.1, 1.2, 1.9]), np.full(4, 10.0)
-    z = stats.norm.ppf(0.975)
-    known = Prior(0.1, 1.0, 0.5)
-    half = PLAIN.interval(means, counts, 30.0, 0.95)[0]
-    together = 0.5 + stats.skew(means)
-    moved = together * (1.0 + 2.0 * z * z) / (6.0 * math.sqrt(4)) * half / z
-    assert known.interval(means, counts, 30.0, 0.95) == pytest.approx((half, half + moved))
-    assert known.mirrored.interval(-means, counts, 30.0, 0.95) == pytest.approx((half + moved, half))
-    assert known.interval(-means, counts, 30.0, 0.95) == pytest.approx((half, half))  # never to the other side
-    assert sample_skewness(np.ones(5)) == 0.0
-    assert PLAIN.interval(means, np.ones(4), 0.0, 0.95) is None
 
 
 def test_it_holds_for_a_mixture_of_which_five_often_hold_one_kind_alone():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from skd_evaluator.assessment.compare.comparison import (
     ranking_figure,
 )
 from skd_evaluator.assessment.files.results import StoredResult
-from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
 
@@ -127,13 +126,6 @@ def test_tyres_on_two_roads_have_no_verdict_and_a_car_without_tyres_has_one_with
     assert compare(dry, basic).lines() == []
 
 
-def test_two_simulators_are_named_beside_the_verdict() -> None:
-    elsewhere = result("b", values(1, shift=1.0), options={"simulator": "metadrive"})
-    (line,) = compare(result("a", values(1), options={}), elsewhere).lines()
-    assert line.startswith("a and b are of different simulators, world and metadrive: ")
-    assert compare(elsewhere, elsewhere).lines() == []
-
-
 def test_a_result_that_is_not_credible_has_no_verdict() -> None:
     """Else a car that stands still is the safer one without a word."""
     told = result("b", values(1, shift=1.0), warnings=["harmless", f"{NOT_CREDIBLE}it stands"])
@@ -141,12 +133,6 @@ def test_a_result_that_is_not_credible_has_no_verdict() -> None:
         assert (found.verdict, found.differences) == (NOT_COMPARED, {})
         assert found.refusals == (f"b is not compared, for its own assessment failed: {NOT_CREDIBLE}it stands",)
     assert ranking_figure([result("a", values(1)), told]) is None
-
-
-def test_a_car_that_hardly_drives_is_named_beside_its_verdict() -> None:
-    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), warnings=[f"{UNDISTURBED}it slows"]))
-    assert found.verdict == SAFER
-    assert found.warnings == (f"b: {UNDISTURBED}it slows",)
 
 
 def test_a_cars_own_part_of_the_scenario_may_differ() -> None:
@@ -233,27 +219,6 @@ def test_a_car_whose_margin_is_an_upper_bound_is_never_the_safer_one() -> None:
     assert compare(least, bound).verdict == NOT_TOLD_APART
 
 
-def test_a_risk_does_not_make_an_upper_bound_the_safer_one() -> None:
-    risks = tuple(np.full((8, 20), 0.2)), tuple(np.full((8, 20), 0.1))
-    worse, better = (
-        replace(one, groups={**one.groups, "risk_2": risk})
-        for one, risk in zip((result("a", values(1)), result("b", values(1))), risks, strict=True)
-    )
-    assert compare(worse, better).verdict == SAFER
-    assert compare(worse, replace(better, figures={**better.figures, **OPEN})).verdict == NOT_TOLD_APART
-
-
-def test_a_margin_and_a_risk_that_disagree_are_said_to() -> None:
-    risks = tuple(np.full((8, 20), 0.1)), tuple(np.full((8, 20), 0.2))
-    first, second = (
-        replace(one, groups={**one.groups, "risk_2": risk})
-        for one, risk in zip((result("a", values(1)), result("b", values(1, shift=1.0))), risks, strict=True)
-    )
-    found = compare(first, second)
-    assert found.verdict == NOT_TOLD_APART
-    assert "margin and risk disagree: the second is better by margin and worse by risk R(2)" in found.lines()[0]
-
-
 def test_what_a_search_may_have_missed_is_in_the_interval_of_the_difference() -> None:
     """The mean excess, and its error in quadrature with that by φ: of the second car below, of the first above."""
     one, other = values(1), values(1, shift=0.1) + 0.05 * np.random.default_rng(9).random((8, 20))
@@ -285,11 +250,6 @@ def test_a_car_is_hardly_ever_safer_than_itself(budgets: tuple[int, int]) -> Non
             pair.append(result(name, true * (1.0 + share), margin_budget=budget, margin_excess=excess))
         told_apart += compare(*pair).verdict != NOT_TOLD_APART
     assert told_apart <= 0.05 * 400 + 1.645 * np.sqrt(400 * 0.05 * 0.95)
-
-
-def test_margins_that_were_found_in_different_ways_are_said_to_be() -> None:
-    (line,) = compare(result("a", values(1)), result("b", values(1), margin_how="by whole episodes")).lines()
-    assert "on the car itself, in process and by whole episodes" in line
 
 
 def test_without_a_margin_planned_deviations_judge_and_it_is_said() -> None:

@@ -10,15 +10,10 @@ import numpy as np
 import pytest
 from search_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.assessment.options import OWN
 from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
-from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
+from skd_evaluator.assessment.run.workers import check_controller
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.margin.search.rounds import one_by_one
-from skd_evaluator.margin.search.search import Effort, search_margins
-from skd_evaluator.metrics.deviation import deviation
 from skd_sim.controllers.loading import make_controller, user_controller
 from skd_sim.controllers.protocol import SensingController
 from skd_sim.errors import UsageError
@@ -160,14 +155,6 @@ class Wordy(Watching):
     control_period = "often"
 
 
-class Shortest(Watching):
-    control_period = 5e-324
-
-
-class Large(Watching):
-    control_period = 10**400
-
-
 class Odd(Watching):
     control_period = 0.07
 
@@ -190,8 +177,6 @@ def test_what_it_declares_goes_into_the_scenario() -> None:
     [
         ("Wordy", "control_period must be a number from 0.001 to 2 (s), got something of str"),
         ("Never", "control_period must be a number from 0.001 to 2 (s), got 0"),
-        ("Shortest", "control_period must be a number from 0.001 to 2 (s), got 4.94066e-324"),
-        ("Large", "control_period must be a number from 0.001 to 2 (s), got 1e+300"),
         ("Odd", "in scenario crossing: control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"),
     ],
 )
@@ -210,40 +195,7 @@ def test_it_is_not_run_at_other_times_than_it_declares() -> None:
         assert run_episode(episode_of("basic", mode=Mode.REPLAY), one).outcome != Outcome.ABORTED
 
 
-def test_synthetic_phi_do_not_depend_on_the_clock_of_the_car() -> None:
-    """Those against the reference car, that is; those against the car itself are its own."""
-    with InProcessRunner(1) as runner:
-        one, often = (
-            safe_trajectories(Plan(scenario, safe_count=1, seed=5), runner)[0] for scenario in (CROSSING, OFTEN)
-        )
-        assert one.positions.tobytes() == often.positions.tobytes()
-        own = safe_trajectories(Plan(CROSSING, controller="cal", safe=OWN, safe_count=1, seed=5), runner)[0]
-        assert own.positions[-1, 0] >= CROSSING.adversary.destination_x
-
-
 # --- margins and recordings
-
-
-@pytest.mark.parametrize("name", ["basic", "cal"])
-def test_the_search_finds_what_can_be_driven(name: str) -> None:
-    """Its hit is what it says of it, the same again, and not above the trial's own kamikaze."""
-    episode = episode_of(name, 2)
-    assert episode.safe_trajectory is not None
-    phi = episode.safe_trajectory.positions
-    log = run_episode(episode)
-    known = {episode.episode_id: [log]}
-    margins = search_margins([episode], known, one_by_one, Effort(16, 64))
-    (found,), (hit,) = margins.hits, margins.episodes
-    assert found is not None
-    assert hit is not None
-    driven = run_episode(hit)
-    assert driven.hit
-    np.testing.assert_array_equal(driven.trajectory.positions, found.trajectory.positions)
-    assert driven.impact_speed == found.impact_speed
-    assert deviation(phi, found.trajectory.positions, found.duration) == pytest.approx(found.distance)
-    if log.hit:
-        kamikaze = deviation(phi, log.trajectory.positions, log.impact_time / 0.3)
-        assert found.distance <= kamikaze + 1e-9
 
 
 def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:

@@ -32,15 +32,6 @@ def test_apart_with_equal_groups_is_welchs_test(ours, theirs, values, seed):
     assert found.degrees_of_freedom == pytest.approx(welch.df, rel=1e-6)
 
 
-def test_what_is_common_to_a_phi_drops_out_of_pairs_alone():
-    rng = np.random.default_rng(1)
-    common = 5.0 * rng.normal(size=(6, 1))
-    first = list(common + 0.1 * rng.normal(size=(6, 20)))
-    second = list(common + 0.2 + 0.1 * rng.normal(size=(6, 20)))
-    assert difference(first, second, paired=True).direction == 1
-    assert difference(first, second, paired=False).direction == 0
-
-
 def test_effect_size_is_in_deviations_within_a_phi():
     first, second = [[0.0, 2.0], [10.0, 12.0]], [[1.0, 3.0], [11.0, 13.0]]
     found = difference(first, second, paired=True)

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from search_support import search_margin
 from skd_adversary.safe_trajectories.sources import read_csv_trajectory
-from skd_evaluator.assessment.plan import MANOEUVRES, Plan, probe_trajectory
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
@@ -60,19 +59,6 @@ def test_kamikazes_from_the_east_hit_and_are_believed(objective: Objective) -> N
         beyond = log.adversary[:, 0] < -MIRRORED.path_edge
         assert not beyond[:-1].any()
     assert hits >= 6
-
-
-def test_what_the_adversary_of_the_margin_can_do_is_mirrored() -> None:
-    path = np.column_stack([-3.5 + 0.75 * np.arange(8), 0.1 * np.arange(8)])
-    np.testing.assert_array_equal(velocities(CROSSING, path, 2) * MIRROR, velocities(MIRRORED, path * MIRROR, 2))
-
-
-@pytest.mark.parametrize("manoeuvre", sorted(set(MANOEUVRES)))
-def test_probes_are_mirrored(manoeuvre: str) -> None:
-    one, other = (
-        probe_trajectory(scene, manoeuvre, np.random.default_rng(7)).positions for scene in (CROSSING, MIRRORED)
-    )
-    np.testing.assert_allclose(one * MIRROR, other, atol=1e-12)
 
 
 @pytest.mark.parametrize("number", range(3))

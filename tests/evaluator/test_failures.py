@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import signal, stats
+from scipy import signal
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.failures import HARDLY, Walkers, failures_of, nine_normals
@@ -112,16 +112,6 @@ def test_nine_normals_are_standard_and_of_what_happened_before_the_contact(ticks
     np.testing.assert_array_equal(mine[7:], of_tick[-1, 3:])
     drawn[4 + 5 * ticks :] = 9.0
     np.testing.assert_array_equal(mine, nine_normals(drawn, ticks, WALKERS.values, TICK))
-
-
-def test_the_deviation_and_how_many_people_deviate_so(found):
-    here = failures_of(found.risks.scales, walkers_of(found))
-    for one in here.nearest:
-        drawn = walkers_of(found).normals(one.row)
-        at = found.risks.at(here.scale).ticks[one.row]
-        square = here.scale**2 * float((nine_normals(drawn, at, WALKERS.values, TICK) ** 2).sum())
-        assert one.deviation == pytest.approx(math.sqrt(square))
-        assert one.people == pytest.approx(stats.chi2.sf(square, 9))
 
 
 def walkers_of(rating: Assessment) -> Walkers:

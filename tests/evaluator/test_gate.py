@@ -141,13 +141,6 @@ def doubted(folder: Path, to: Path) -> Path:
     return to
 
 
-def test_nothing_passes_beside_an_earlier_result_that_is_not_credible(cars, tmp_path):
-    earlier = read_result(doubted(cars[0.5], tmp_path / "doubted"))
-    found = check_not_worse(cars[1.15], earlier)
-    assert (found.failed, found.error) == (False, True)
-    assert "it counts" in found.text
-
-
 @pytest.mark.parametrize("name", ["margin", "margin_p10", "equivalent_multiplier"])
 def test_an_upper_bound_shows_no_least(result, name):
     """With a longer search the same car may be below the limit."""
@@ -162,19 +155,6 @@ def test_an_upper_bound_shows_no_least(result, name):
     (other,) = check_limits({**bound, "deviation": 0.8}, [Limit("deviation", 0.5)])
     assert other.passed
     assert check_limits({**bound, "margin_converged": True}, [Limit(name, 0.5)])[0].passed
-
-
-def test_what_cannot_be_compared_is_an_error(cars, tmp_path):
-    other = tmp_path / "other"
-    other.mkdir()
-    for file in cars[1.15].iterdir():
-        (other / file.name).write_bytes(file.read_bytes())
-    content = json.loads((other / "assessment.json").read_text(encoding="utf-8"))
-    content["maximum_distance"] = 3.0
-    (other / "assessment.json").write_text(json.dumps(content), encoding="utf-8")
-    found = check_not_worse(other, read_result(cars[1.15]))
-    assert (found.failed, found.error) == (False, True)
-    assert "maximum distance (m) none and 3" in found.text
 
 
 CHECKS = [
@@ -220,18 +200,13 @@ def test_the_command_line_decides(skd_here, here, cars):
     ("arguments", "parts"),
     [
         (["--fail-below", "deviatoin=1"], ["--fail-below deviatoin=1", "did you mean 'deviation'?"]),
-        (["--fail-above", "contct_rate=0.1"], ["did you mean 'contact_rate'?"]),
         (["--fail-below", "objectives.paper.sdk=1"], ["did you mean 'objectives.paper.skd'?"]),
-        (["--fail-below", "margn=1"], ["did you mean 'margin'?"]),
-        (["--fail-below", "margin_ci95=1"], ["no figure 'margin_ci95'"]),
-        (["--fail-below", "margin"], ["FIGURE=NUMBER, as margin=0.8"]),
         (["--fail-below", "deviation=much"], ["FIGURE=NUMBER"]),
         (
             ["--fail-above", "nominal_collision_rate=5"],
             ["--fail-above nominal_collision_rate=5", "from 0 to 1, where 0.05 is 5 %"],
         ),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
-        (["--fail-below", "objectives.paper.deviation=-1"], ["at least 0"]),
         (["--junit", "same.out", "--markdown", "./same.out"], ["--junit same.out: --markdown is written there, too"]),
         (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),
         (["--junit", "nowhere/j.xml"], ["--junit nowhere/j.xml", "folder"]),

@@ -54,27 +54,12 @@ class Stays(Named):
         return super().step(acceleration, (0.0, 0.0))
 
 
-class Drifts(Named):
-    """Its pedestrian is pushed East, by little in each tick."""
-
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        return super().step(acceleration, (velocity[0] + 0.14, velocity[1]))
-
-
 class Jumps(Named):
     """Its car is thirty metres further on from the second tick on."""
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         frame = super().step(acceleration, velocity)
         return frame if frame.tick < 2 else frame._replace(car=frame.car._replace(y=frame.car.y + 30.0))
-
-
-class Elsewhere(Named):
-    """Its pedestrian starts two metres further North."""
-
-    def reset(self, episode: EpisodeSpec) -> Frame:
-        frame = super().reset(episode)
-        return frame._replace(adversary=frame.adversary._replace(y=frame.adversary.y + 2.0))
 
 
 class Raises(Named):
@@ -86,11 +71,6 @@ class Skips(Named):
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         frame = super().step(acceleration, velocity)
         return frame._replace(tick=frame.tick + 1)
-
-
-class NoFrame(Named):
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        return "soon"  # type: ignore[return-value]
 
 
 class Endless(Named):
@@ -124,16 +104,14 @@ class Dies(Named):
 
 @pytest.fixture(autouse=True)
 def simulators(monkeypatch: pytest.MonkeyPatch) -> None:
-    for one in (
-        Named, NanSpeed, Forgetful, Stays, Drifts, Jumps, Elsewhere, Raises, Skips, NoFrame, Endless, Dies,
-    ):  # fmt: skip
+    for one in (Named, NanSpeed, Forgetful, Stays, Jumps, Raises, Skips, Endless, Dies):
         monkeypatch.setitem(SIMULATORS.own, one.__name__.lower(), f"{__name__}:{one.__name__}")
 
 
-def crossed(simulator: str, multiplier: float = 1.0, *, waits: bool = False) -> EpisodeLog:
-    """Run an episode of somebody who crosses at 1.4 m/s, or waits for seven seconds after the first tick."""
+def crossed(simulator: str, multiplier: float = 1.0) -> EpisodeLog:
+    """Run an episode of a pedestrian who crosses at 1.4 m/s."""
     ticks = np.arange(30)
-    x = -3.0 + 1.4 * STEP * (np.where(ticks < 25, np.minimum(1, ticks), ticks - 23) if waits else ticks)
+    x = -3.0 + 1.4 * STEP * ticks
     phi = Trajectory(np.column_stack([x, np.zeros(30)]), STEP)
     episode = EpisodeSpec(
         QUIET, Mode.REPLAY, 3, 2 << 30, safe_trajectory=phi, multiplier=multiplier, simulator=simulator
@@ -158,14 +136,12 @@ def test_the_world_by_another_name_is_the_world():
     [
         ("nanspeed", AbortKind.NOT_FINITE, "speed of the car is nan in tick 1"),
         ("stays", AbortKind.REFUTED, "in tick 1 the adversary goes 0.42 m beside its commanded way"),
-        ("drifts", AbortKind.REFUTED, "the adversary is 1.0"),
-        ("elsewhere", AbortKind.REFUTED, "the adversary starts 2 m from where the specification has it"),
         ("jumps", AbortKind.REFUTED, "gave what cannot have happened: the car goes 32"),
         ("endless", AbortKind.REFUTED, ""),
     ],
 )
 def test_an_episode_that_cannot_be_is_aborted(simulator: str, kind: AbortKind, what: str):
-    log = crossed(simulator, waits=simulator == "drifts")
+    log = crossed(simulator)
     assert log.outcome == Outcome.ABORTED
     assert kind_of(log.reason) == kind
     assert log.reason.startswith(f"{kind}: simulator {simulator}")
@@ -181,7 +157,6 @@ def test_an_episode_that_cannot_be_is_aborted(simulator: str, kind: AbortKind, w
             "simulator raises: step failed with ValueError: boom (tests/evaluator/test_lying_simulators.py, line ",
         ),
         ("skips", "simulator skips: step must return the frame of tick 1, got that of tick 2"),
-        ("noframe", "simulator noframe: step must return a Frame, got 'soon'"),
     ],
 )
 def test_what_is_no_answer_ends_the_assessment_in_one_line(simulator: str, line: str):

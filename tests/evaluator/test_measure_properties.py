@@ -15,7 +15,6 @@ from skd_evaluator.metrics.deviation import deviation_pairs
 from skd_evaluator.metrics.measures import Measured, Pair, load_measures, pair_of
 from skd_evaluator.metrics.skd import frechet_distances, prefix_distances
 from skd_evaluator.metrics.statistics import mean, normal_interval, sample_variance
-from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -79,20 +78,6 @@ def test_rigid_motion_of_the_world_changes_nothing(name, drawn, angle, mirrored,
     np.testing.assert_allclose(after, before, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", MEASURES)
-@given(worlds(), st.randoms(use_true_random=False))
-@settings(max_examples=15)
-def test_the_order_of_pairs_changes_nothing(name, drawn, draw):
-    phi, walks, shares = drawn
-    order = list(range(len(walks)))
-    draw.shuffle(order)
-    before = values(name, world(phi, walks, shares))
-    after = values(name, world(phi, [walks[k] for k in order], [shares[k] for k in order]))
-    np.testing.assert_array_equal(after, before[order])
-    first, second = (Measured(WARPED, (one,)).figures([np.arange(len(walks))], 0.95) for one in (before, after))
-    assert first == second
-
-
 # --- values that are none
 
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6)
@@ -120,13 +105,3 @@ def test_a_measure_without_a_value_counts_as_undefined_and_not_into_the_mean(num
     assert figures["mean"] == mean(numbers)
     assert (figures["pairs"], figures["undefined"]) == (len(numbers), more)
     assert Measured(one.measure, (np.full(more, math.nan),)).figures([np.arange(more)], 0.95)["mean"] is None
-
-
-@given(st.lists(st.lists(st.floats(0.0, 6.0) | st.just(math.inf), max_size=5), min_size=1, max_size=4))
-@settings(max_examples=30)
-def test_who_never_reaches_the_car_counts_as_the_most(groups):
-    curve = vulnerability_curve(groups, 5.0)
-    every = [min(one, 5.0) for group in groups for one in group]
-    assert (curve is None) == (not every)
-    if curve is not None:
-        assert curve.area_above == pytest.approx(math.fsum(every) / len(every), abs=1e-12)

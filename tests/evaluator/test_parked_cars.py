@@ -11,7 +11,6 @@ import pytest
 import yaml
 from cli_support import one_line, skd
 from search_support import search_margin
-from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -19,7 +18,7 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.deviation import Hit
-from skd_sim.options.adversary import AdversaryModel, Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
@@ -63,15 +62,6 @@ def test_kamikazes_go_around_and_hit(objective: Objective) -> None:
         hit = np.isfinite(log.impact_time)
         assert_free(scenario, log.adversary if not hit else log.trajectory.positions, CROSSING.adversary.core)
     assert sum(log.hit for log in logs) >= 9
-
-
-@pytest.mark.parametrize("adversary_model", [AdversaryModel.GENERIC, AdversaryModel.LEARNED])
-def test_whatever_they_know(adversary_model: AdversaryModel) -> None:
-    scenario = parked()
-    model = any_car_models()[1] if adversary_model == AdversaryModel.LEARNED else ""
-    for one in episodes(scenario, 3, adversary_model=adversary_model, car_model=model, simulations=100):
-        log = run_episode(one)
-        assert_free(scenario, log.trajectory.positions, CROSSING.adversary.core)
 
 
 def test_the_margin_goes_around_and_is_no_less_than_without() -> None:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from cli_support import SMALL
 from common import assert_valid
-from skd_evaluator.provenance import controller_revision, git_revision
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_evaluator.provenance import git_revision
 
 
 def content(folder: Path) -> dict[str, object]:
@@ -59,18 +58,3 @@ def test_git_revision_is_of_the_checkout_that_the_code_is_in(tmp_path, monkeypat
     assert first == {"revision": git("rev-parse", "HEAD").strip(), "modified": False}
     code.write_text("2\n")
     assert git_revision(code) == {**first, "modified": True}
-
-
-def test_the_commit_of_a_car_is_that_of_its_own_checkout(tmp_path, monkeypatch):
-    (tmp_path / "car_of_mine.py").write_text("class Car: ...\n")
-    git = ("git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
-    for words in (("init", "-q"), ("add", "."), ("commit", "-q", "-m", "one")):
-        subprocess.run([*git, *words], check=True)
-    head = subprocess.run([*git, "rev-parse", "HEAD"], check=True, capture_output=True, text=True).stdout.strip()
-    monkeypatch.syspath_prepend(str(tmp_path))
-    car = CarUnderTest("car_of_mine:Car")
-    assert controller_revision(car) == {"revision": head, "modified": False}
-    (tmp_path / "car_of_mine.py").write_text("class Car: pass\n")
-    assert controller_revision(car) == {"revision": head, "modified": True}
-    assert controller_revision(CarUnderTest("basic")) == git_revision()
-    assert controller_revision(CarUnderTest("external"), "python3 no_such_file.py") is None

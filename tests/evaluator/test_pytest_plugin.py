@@ -17,11 +17,9 @@ import pytest
 from comparison_support import FIGURES
 from skd_evaluator import library
 from skd_evaluator.assessment.compare.gate import not_worse
-from skd_evaluator.assessment.files import results as stored_result
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.margin import common_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Assessor
 from skd_sim.scenario.scenario import load_scenario
@@ -122,9 +120,6 @@ def test_a_car_without_margin_and_skd_passes_no_test(tmp_path: Path, monkeypatch
     assert Assessor(tmp_path).assess(MyCar).figures["margin"] == 5.0
 
 
-MORE_BY_CHANCE = (0.70, 0.40)  # 0.05 more than 0.5 on the mean of eight φ, with a standard error of 0.057
-
-
 def of_a_car(
     name: str, margin: float, risks: tuple[float, float], *, phi: int = 8, scenario: str = "crossing"
 ) -> StoredResult:
@@ -139,22 +134,6 @@ def of_a_car(
     }
     safe = tuple(np.full((3, 2), float(index)) for index in range(phi))
     return StoredResult(Path(name), figures, safe, None, "deviation", groups)
-
-
-@pytest.fixture
-def mine(monkeypatch: pytest.MonkeyPatch) -> Assessed:
-    """A car's assessment, beside results of others that can be read under their names."""
-    every = [
-        of_a_car("mine", 1.0, (0.5, 0.5)),
-        of_a_car("better car", 1.5, MORE_BY_CHANCE),
-        of_a_car("worse car", 0.5, (0.5, 0.5)),
-        of_a_car("of one phi", 1.0, (0.5, 0.5), phi=1),
-        of_a_car("at a crossing", 1.0, (0.5, 0.5), scenario="cbtano"),
-    ]
-    found = {one.folder: one for one in every}
-    for module in (stored_result, common_trajectories):
-        monkeypatch.setattr(module, "read_result", found.__getitem__)
-    return Assessed({}, Path("mine"))
 
 
 @pytest.mark.parametrize(

@@ -187,20 +187,6 @@ def test_the_scripts_give_every_figure(results, recomputed):
     assert len(compared) > 100
 
 
-def test_the_top_repeats_what_stands_under_objectives(results):
-    """So that nothing else needs to be computed: `deviation…` of its own objective, the rest of the paper's."""
-    said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
-    of = said["objectives"]
-    sources = {"deviation_success_rate": of["deviation"]["success_rate"], "measures": of["deviation"]["measures"]}
-    sources |= {f"kamikaze_{name}": of["paper"][name] for name in ("success_rate", "trials", "aborted")}
-    for name, value in of["paper"].items():
-        if name in said and name not in (*sources, "aborted", "clustering", "per_safe_trajectory"):
-            sources[name] = of["deviation" if name.startswith("deviation") else "paper"][name]
-            assert value is not None or sources[name] is None
-    assert {name: said[name] for name in sources} == sources
-    assert len(sources) > 20
-
-
 def test_the_columns_give_what_is_counted(results):
     said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
     arrays = np.load(results / "episodes.npz")

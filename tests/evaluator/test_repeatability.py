@@ -98,10 +98,6 @@ def test_a_difference_that_changes_no_hit_is_a_warning() -> None:
     assert re.match(r"20 of 20 episodes went differently .*, 0 of them with a hit", line)
 
 
-def test_rounding_is_no_difference() -> None:
-    assert warnings(lambda: Car(more=lambda number: 1e-9 * number), EPISODES[4:]) == ()
-
-
 def test_a_car_that_fails_when_it_is_run_again_is_not_credible() -> None:
     class Failing:
         def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
@@ -214,21 +210,10 @@ def test_a_car_may_have_to_stand_for_others() -> None:
     assert standing("a.b:C", [run([STARTS, 4.0, 0.0], 100.0, replace(CROSSING, others=(lorry,)))]) == ()
 
 
-def test_nearly_all_runs_have_to_be_such_and_aborted_ones_say_nothing() -> None:
-    stands, drives = run([STARTS, 4.0, 0.0], 100.0), run([STARTS, 4.0, 4.0], 100.0)
-    lost = replace(stands, outcome=Outcome.ABORTED)
-    assert standing("a.b:C", [drives] * 3 + [stands] * 17) == standing("a.b:C", [lost] * 9) == ()
-    (line,) = standing("a.b:C", [drives] * 2 + [stands] * 18 + [lost] * 9)
-    assert line.startswith(f"{NOT_CREDIBLE}in 18 of 20 runs along φ a.b:C stood")
-
-
 # --- by the command line
 
 
 CARS = """
-import random
-import numpy as np
-
 class Honest:
     "Brakes for who is ahead and near the lane; keeps something from call to call, which its reset leaves as it is."
     asked = 0
@@ -248,23 +233,6 @@ class Counting(Honest):
         Counting.episodes += 1
     def command(self, car, adversary):
         return -6.0 if Counting.episodes % 2 else 0.0
-
-class Shared(Honest):
-    "Stands in some episodes, which generators of the whole process choose."
-    def reset(self, scenario, rng):
-        super().reset(scenario, rng)
-        self.stands = random.random() + np.random.random() < 1.0
-    def command(self, car, adversary):
-        return -6.0 if self.stands else 0.0
-
-class Seeded(Honest):
-    "Draws from them too, and its reset seeds them: each episode follows from its reset."
-    def reset(self, scenario, rng):
-        super().reset(scenario, rng)
-        random.seed(0)
-        np.random.seed(0)
-    def command(self, car, adversary):
-        return super().command(car, adversary) + 0.1 * random.random() + 0.1 * np.random.random()
 
 class Stands(Honest):
     def command(self, car, adversary):
@@ -289,8 +257,6 @@ SMALL = (
     [
         ("Honest", []),
         ("Counting", ["episodes went differently when they were run again"]),
-        ("Shared", ["draws from the process-wide random and numpy.random"]),
-        ("Seeded", []),
         ("Stands", ["with nobody near, some_cars:Stands slows from"]),
     ],
 )

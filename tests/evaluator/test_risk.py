@@ -15,13 +15,12 @@ from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of, risk_request, why_no_risk
+from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.metrics.behaviour.model import OF_PERSON, load_behaviour
+from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import ScaleRisk, Subsets, Touch, log_t_interval
 from skd_evaluator.risk.cars import AnyCar, KnownCar, end_of
 from skd_evaluator.risk.crossings import (
-    CREEPING,
     IN_A_CURVE,
     SAME,
     CrossingPlan,
@@ -30,7 +29,7 @@ from skd_evaluator.risk.crossings import (
     missed_by,
     side_touched,
 )
-from skd_evaluator.risk.subset import _MOVED, SubsetEffort, _moved, gathered, levels_of, replicate
+from skd_evaluator.risk.subset import SubsetEffort, gathered, levels_of, replicate
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Outcome
@@ -137,29 +136,6 @@ def test_subset_simulation_gives_probabilities_that_are_known(bound, scale, norm
     np.testing.assert_allclose(found.shares.sum(axis=0), risk.value * 16 / 3, rtol=0.5)  # φ does not matter here
 
 
-@pytest.mark.parametrize("kind", [0, 1])
-def test_moves_leave_normals_standard_normals(kind, safe):
-    """Of each group apart; those that are moved keep √(1 − step²) of what they were, the others all of it."""
-    here, rng, step, count = crossing_plan(safe), np.random.default_rng(3), 0.6, 2000
-    walker, car = rng.standard_normal((count, here.walker_normals)), rng.standard_normal((count, 81))
-    before = Crossings(np.zeros(count, np.int64), walker, car, np.zeros(count, np.int64))
-    after = _moved(before, _MOVED[kind], step, 3, rng)
-    person = len(OF_PERSON)
-    groups = (
-        (walker[:, :person], after.walker[:, :person], 1.0),
-        (walker[:, person:], after.walker[:, person:], _MOVED[kind][0]),
-        (car[:, 1:], after.car[:, 1:], _MOVED[kind][1]),
-        (car[:, :1], after.car[:, :1], _MOVED[kind][2]),
-    )
-    for old, new, share in groups:
-        assert abs(new.mean()) < 4.0 / math.sqrt(new.size)
-        assert abs((new**2).mean() - 1.0) < 4.0 * math.sqrt(2.0 / new.size)
-        assert (old != new).mean() == pytest.approx(share, abs=4.0 * 0.5 / math.sqrt(new.size) + 1.0 / 256.0)
-        kept = math.sqrt(1.0 - step * step)
-        along = (old * new).mean()
-        assert along == pytest.approx(share * kept + 1.0 - share, abs=4.0 * math.sqrt(2.0 / new.size))
-
-
 def test_what_is_never_hit_is_said_to_be_below_what_can_be_told(safe):
     effort = SubsetEffort(replicates=2, per_level=400, levels=3)
     found = simulated(crossing_plan(safe), Gauss(30.0), 1.0, effort)
@@ -220,16 +196,6 @@ def test_the_number_of_workers_changes_nothing(name, ratings, monkeypatch):
             assert mine.subsets.shares.tobytes() == theirs.subsets.shares.tobytes()
 
 
-def test_subset_simulation_can_be_asked_for_a_car_that_is_not_known(ratings, monkeypatch):
-    small = SubsetEffort(replicates=2, per_level=20, levels=2)
-    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.SubsetEffort", lambda: small)
-    with InProcessRunner(2) as runner:
-        found = with_risks(ratings["carla"], RiskRequest(WALKERS, runs=6, subset=True), runner).risks
-    assert found is not None
-    assert [one.subsets is not None for one in found.scales] == [True] * 3
-    assert found.scales[0].episodes >= 6 + 2 * 20
-
-
 def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings, monkeypatch):
     """They counted as misses: of the crude crossings, which come first, none is aborted here."""
     small = SubsetEffort(replicates=2, per_level=20, levels=2)
@@ -248,13 +214,6 @@ def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings
     assert found.risk_note == ""
 
 
-def test_why_there_is_no_risk():
-    assert "--behaviour none" in why_no_risk(PLAN, risk_request("none").behaviour)
-    cyclist = replace(PLAN, scenario=load_scenario("cyclist"))
-    assert "behaviour walkers is of a pedestrian, and the adversary is a cyclist" in why_no_risk(cyclist, WALKERS)
-    assert not why_no_risk(PLAN, WALKERS)
-
-
 def scale_risk(*counts: tuple[int, int]) -> ScaleRisk:
     """φ by φ as many hits of as many runs."""
     runs = counts[0][1]
@@ -271,12 +230,6 @@ def test_a_crude_risk_and_its_intervals():
     z = stats.norm.ppf(0.975)
     assert all(abs(4 / 30 - end) == pytest.approx(z * math.sqrt(end * (1 - end) / 30)) for end in risk.ci95)
     assert risk.ci95_by_phi[0] < risk.value < risk.ci95_by_phi[1]
-
-
-def test_nothing_hit_is_the_rule_of_three():
-    risk = scale_risk((0, 50), (0, 50))
-    assert (risk.value, risk.ci95) == (0.0, (0.0, 0.03))
-    assert risk.method == "crude, 0 of 100 runs, rule of three"
 
 
 def test_aborted_runs_are_none():
@@ -325,28 +278,6 @@ def missed(car: np.ndarray, user: np.ndarray) -> float:
         here, there = tuple(user[tick]), tuple(user[tick + 1])
         least = min(least, missed_by(path, here, there, 1.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP))
     return least
-
-
-@pytest.mark.parametrize("short", [0.02, 0.1, 0.5, 2.0])
-@pytest.mark.parametrize("deceleration", [3.0, 8.0])
-def test_of_a_car_that_brakes_it_follows_from_where_it_would_come_to_the_speed_of_a_hit(short, deceleration):
-    """(m + (x² + 2·h·x)/2b) / max(x, c) over x = v − h: √(2m/b) + h/b at x = √(2bm), where that is c or more; m/c at 0.
-
-    Near 0 it is looked at up to a quarter of a tick before.
-    """
-    speeds = np.maximum(8.0 - deceleration * STEP * np.arange(80), 0.0)
-    places = np.concatenate([[0.0], np.cumsum(0.5 * STEP * (speeds[1:] + speeds[:-1]))])
-    there = (8.0**2 - HIT_SPEED**2) / (2.0 * deceleration) + FOOTPRINT[0] + RADIUS + short
-    found = missed(np.column_stack([places, speeds]), np.tile([0.3, there], (80, 1)))
-    creeps = short / CREEPING
-    if math.sqrt(2.0 * deceleration * short) >= CREEPING:
-        drives = math.sqrt(2.0 * short / deceleration) + HIT_SPEED / deceleration
-        if drives < creeps:
-            assert found == pytest.approx(drives, rel=0.03)
-            return
-    before = deceleration * STEP / 4.0
-    late = (before**2 + 2.0 * HIT_SPEED * before) / (2.0 * deceleration * CREEPING)
-    assert creeps <= found <= 1.03 * creeps + late
 
 
 def test_whoever_stands_beside_the_way_is_further_from_a_hit_than_whoever_walks_into_it():

@@ -10,18 +10,8 @@ from common import run_skd
 from skd_evaluator.metrics.aborted import not_credible
 
 SMALL = (
-    *(
-        "--adversary-model",
-        "generic",
-        "--safe-count",
-        2,
-        "--kamikaze-count",
-        2,
-        "--collision-runs",
-        2,
-        "--simulations",
-        20,
-    ),
+    *("--adversary-model", "generic", "--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2),
+    *("--simulations", 20),
     *("--workers", 1, "--behaviour", "none", "--no-pictures", "--quiet", "--seed", 1),
 )
 

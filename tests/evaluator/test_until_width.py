@@ -17,7 +17,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import sequential
 from skd_evaluator.assessment.stages.sequential import LOOKS
 from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
-from skd_evaluator.metrics.sample_size import UntilWidth, narrow_enough, nominal_confidence
+from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
@@ -118,20 +118,3 @@ def test_all_looks_at_students_intervals_hold_together():
     assert repeated > 0.95 - 4.0 * math.sqrt(0.05 * 0.95 / trials)
     assert repeated < 0.965
     assert naive < 0.86
-
-
-def test_an_interval_without_width_or_none_is_not_narrow():
-    flat, one = clustered_mean([[1.0, 2.0]] * 3), clustered_mean([[1.0, 2.0]])
-    wide = clustered_mean([[1.0], [2.0], [3.0]])
-    width = wide.interval[1] - wide.interval[0]
-    assert not narrow_enough(flat, 1.0)
-    assert not narrow_enough(one, 1.0)
-    assert narrow_enough(wide, width)
-    assert narrow_enough(wide, 2.0 * width)
-    assert not narrow_enough(wide, 0.999 * width)
-    stopped = UntilWidth(1.0, 10, 0.99, ((1, one), (2, flat), (3, wide)))
-    assert (stopped.reached, stopped.width) == (False, width)
-    assert stopped.text.startswith("after 3 φ")
-    assert "not 1 m as wanted" in stopped.text
-    with pytest.raises(ValueError, match="at least one look"):
-        nominal_confidence(0)

@@ -119,8 +119,6 @@ def test_a_road_user_of_another_kind(package: Path, tmp_path: Path):
     ("option", "name", "known"),
     [
         ("--controller", "careful", "cal"),
-        ("--scenario", "quiet", "crossing"),
-        ("--objective", "near", "frechet"),
         ("--simulator", "ice", "world"),
     ],
 )
@@ -137,8 +135,6 @@ def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, na
     [
         ("[skd.controllers]\nlost = my_scenarios:Nobody\n", ("--controller", "lost"), "my_scenarios has no Nobody"),
         ("[skd.simulators]\nlost = my_scenarios:Careful\n", ("--simulator", "lost"), "needs the methods reset"),
-        ("[skd.scenarios]\nlost = nowhere:DATA\n", ("--scenario", "lost"), "ModuleNotFoundError"),
-        ("[skd.measures]\nlost = nowhere:DATA\n", (), "measure 'lost' cannot be loaded"),
         ("[skd.measures]\nlost = my_scenarios:QUIET\n", (), "must be a Measure"),
         ("[skd.measures]\na_name_that_is_too_long = my_scenarios:ENDS\n", (), "at most 16"),
         ("[skd.stages]\nlost = nowhere:run\n", (), "stage 'lost' cannot be loaded"),

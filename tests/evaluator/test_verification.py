@@ -55,17 +55,13 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "skd": lambda figures: figures.update(skd=9.9),
     "contact_rate": lambda figures: figures.update(contact_rate=0.0 if figures["contact_rate"] else 0.5),
     "margin": lambda figures: figures.update(margin=4.9),
-    "margin_beyond": lambda figures: figures.update(margin_beyond=figures["margin_beyond"] + 1),
     "margin_ci95.0": lambda figures: at(figures, "margin_ci95").__setitem__(0, 0.01),
-    "impact_speed.p90": lambda figures: figures["impact_speed"].update(p90=0.1),
     "objectives.paper.skd": lambda figures: figures["objectives"]["paper"].update(skd=9.9),
     "vulnerability_curve.margins.points.20.probability": lambda figures: at(
         figures, "vulnerability_curve", "margins", "points", 20
     ).update(probability=0.123),
     "per_safe_trajectory.1.name": lambda figures: figures["per_safe_trajectory"][1].update(name="another"),
-    "seed": lambda figures: figures.update(seed=figures["seed"] + 1),
     "skd_ci95": lambda figures: figures.update(skd_ci95=None),
-    "measures.warped.ci95": lambda figures: at(figures, "measures", "warped").update(ci95=None),
     "clustering.skd.standard_error": lambda figures: at(figures, "clustering", "skd").update(standard_error=0.001),
 }
 

@@ -11,10 +11,10 @@ import pytest
 from skd_adversary.adversary import predicted_car
 from skd_adversary.car_models.car_model_file import FittedCar, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.plan import Plan, split_episode_id
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.stages.car_model import CHOICES, WAITING_TRIALS, with_waiting_reward
 from skd_evaluator.errors import AssessmentError
-from skd_sim.options.adversary import AdversaryModel, Objective
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -60,15 +60,6 @@ def test_the_least_mean_deviation_is_chosen_and_a_miss_counts_as_the_greatest(be
     else:
         assert [one for one, _ in runner.asked] == list(CHOICES)
     assert reward == best
-
-
-def test_all_have_the_same_draws_and_none_of_those_that_the_car_was_learned_from() -> None:
-    _, runner = chosen({one: [0.0] for one in CHOICES})
-    ids = [[one.episode_id for one in episodes] for _, episodes in runner.asked]
-    assert ids[0] == ids[1] == ids[2]
-    assert len(ids[0]) == WAITING_TRIALS
-    assert min(split_episode_id(one)[2] for one in ids[0]) >= 100
-    assert all(one.objective == Objective.DEVIATION for _, episodes in runner.asked for one in episodes)
 
 
 def test_trials_that_are_aborted_do_not_count_unless_all_are() -> None:

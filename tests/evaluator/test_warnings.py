@@ -96,35 +96,6 @@ def test_too_many_aborted(maximum, fails):
     assert "aborted episodes: no answer" in shown(found)
 
 
-@pytest.mark.parametrize(
-    ("p90", "hit_speed", "trials", "said"),
-    [
-        (0.7, 0.556, 12, True),
-        (0.9, 0.556, 12, False),
-        (0.7, 0.556, 11, False),
-        (0.1, 0.0, 12, False),
-        (None, 0.5, 12, False),
-    ],
-)
-def test_a_car_that_is_judged_by_slow_touches_is_named(
-    p90: float | None, hit_speed: float, trials: int, said: bool
-) -> None:
-    result = {
-        "margin": 1.0,
-        "margin_ci95": [0.9, 1.1],
-        "margin_converged": True,
-        "margin_trials": trials,
-        "margin_beyond": 2,
-        "optimality_gap": None,
-        "impact_speed": None if p90 is None else {"mean": 0.6, "p90": p90},
-        "scenario": {"collision": {"hit_speed": hit_speed}},
-    }
-    found = margin_warnings(result, 0, 0)
-    assert len(found) == said
-    if said:
-        assert "at 0.70 m/s or less, and a hit begins at 0.556 m/s" in found[0]
-
-
 RESULT = {
     "car": "a.b:C",
     "eta_max": 5.0,

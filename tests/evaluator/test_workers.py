@@ -17,7 +17,7 @@ from skd_evaluator.assessment.stages import margin as ahead
 from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
 from skd_evaluator.errors import AssessmentError
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import AbortKind, Mode, Outcome, abort_reason, counted_reasons, kind_of
+from skd_sim.world.episode import AbortKind, Mode, Outcome, kind_of
 
 
 class Over(Workers):
@@ -85,16 +85,6 @@ def test_any_executor_gives_what_a_loop_gives(kind):
         assert [next(found) for _ in range(31)] == list(range(31))
         with pytest.raises(AssessmentError, match="no more"):
             next(found)
-
-
-def test_each_log_has_the_episode_that_was_asked_for():
-    from test_campaign import straight
-
-    plan, phi = Plan(load_scenario("crossing")), straight()
-    episodes = [plan.episode(Mode.REPLAY, 0, trial, phi) for trial in range(3)]
-    with Over(ProcessPoolExecutor(1)) as runner:
-        logs = list(runner.run(episodes))
-    assert all(log.episode is episode for log, episode in zip(logs, episodes, strict=True))
 
 
 # --- worker processes that die
@@ -203,23 +193,6 @@ def test_work_in_the_background_ends_with_its_block(tmp_path):
 # --- reasons
 
 
-def test_reasons_are_counted_by_their_kind():
-    reasons = [
-        abort_reason(AbortKind.NO_ANSWER, "nothing\nfor 5 s"),
-        "vehicle_simulator: something else",
-        abort_reason(AbortKind.NO_ANSWER, "nothing for 6 s"),
-        "",
-    ]
-    assert reasons[0] == "no answer: nothing for 5 s"
-    assert counted_reasons(reasons) == {
-        "no answer": {"count": 2, "first": reasons[0]},
-        "other": {"count": 2, "first": "vehicle_simulator: something else"},
-    }
-    assert counted_reasons([]) == {}
-    for kind in AbortKind:
-        assert kind_of(abort_reason(kind, "why")) == kind
-
-
 @pytest.fixture
 def compiled_by(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A file with the processes that have compiled: to compile takes half a minute."""
@@ -244,38 +217,3 @@ def test_another_process_compiles_first(compiled_by: Path, monkeypatch: pytest.M
     assert second == os.getpid() != first
     with pytest.raises(ProcessLookupError):
         os.kill(first, 0)
-
-
-def test_it_ends_with_what_failed(monkeypatch: pytest.MonkeyPatch, compiled_by: Path) -> None:
-    begun: list[int] = []
-    fork = os.fork
-    monkeypatch.setattr(ahead, "is_kept", lambda _kernel: False)
-    monkeypatch.setattr(ahead, "warm_up_margins", lambda: time.sleep(1000.0))
-    monkeypatch.setattr(os, "fork", lambda: begun.append(child := fork()) or child)
-    with pytest.raises(KeyboardInterrupt), margins_compiled_in_background():
-        raise KeyboardInterrupt
-    with pytest.raises(ProcessLookupError):
-        os.kill(begun[0], 0)
-
-
-def test_it_ends_with_the_one_that_began_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(ahead, "is_kept", lambda _kernel: False)
-    monkeypatch.setattr(ahead, "available_workers", lambda: 2)
-    monkeypatch.setattr(ahead, "warm_up_margins", lambda: time.sleep(1000.0))
-    number = tmp_path / "number"
-    if (parent := os.fork()) == 0:
-        with margins_compiled_in_background():
-            children = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
-            number.with_suffix(".part").write_text(children)
-            number.with_suffix(".part").rename(number)
-            time.sleep(1000.0)
-    wait_until(number.exists, "the process that compiles")
-    (child,) = map(int, number.read_text().split())
-    os.kill(parent, signal.SIGKILL)
-    os.waitpid(parent, 0)
-
-    def has_ended() -> bool:
-        status = Path(f"/proc/{child}/status")
-        return not status.exists() or "State:\tZ" in status.read_text()  # where nobody waits for orphans
-
-    wait_until(has_ended, "its end")

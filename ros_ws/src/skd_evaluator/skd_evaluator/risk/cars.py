@@ -192,16 +192,13 @@ class CrossingNumbers(NamedTuple):
     """The scenario in numbers; lengths in m, speeds in m/s, times in s."""
 
     line: FloatArray  # of the road
-    front: float
-    rear: float
-    half_width: float
+    footprint: tuple[float, float, float]
     radius: float
     start_speed: float
     gap_range: float
     trigger: float
     deceleration: float
-    speed_noise: float
-    acceleration_noise: float
+    noise: tuple[float, float]  # of the speed and of the acceleration, relative
     time_step: float
     minimum_impact_speed: float
     hit_speed: float
@@ -213,16 +210,13 @@ def crossing_numbers(episode: EpisodeSpec) -> CrossingNumbers:
     car = scenario.car
     return CrossingNumbers(
         scenario.road.line,
-        car.front,
-        car.rear,
-        car.half_width,
+        footprint_of(scenario),
         scenario.adversary.reach,
         car.start_speed,
         car.start_gap_range,
         episode.multiplier * car.safe_distance,
         car.deceleration,
-        car.speed_noise,
-        car.acceleration_noise,
+        (car.speed_noise, car.acceleration_noise),
         scenario.time_step,
         scenario.collision.minimum_impact_speed,
         scenario.collision.hit_speed,
@@ -247,16 +241,16 @@ def cross(
         A `Touch`, the least time by which the front of the moving car missed, s, and the number of ticks, that of the
         contact included.
     """
-    s = -(gap + course.gap_range * draws[0]) - course.front
+    s = -(gap + course.gap_range * draws[0]) - course.footprint[0]
     x, y, heading = road_pose(course.line, s)
     speed, least = course.start_speed, math.inf
-    footprint = (course.front, course.rear, course.half_width)
+    footprint, (speed_noise, acceleration_noise) = course.footprint, course.noise
     for tick in range(count - 1):
         here, there = (track[tick, 0], track[tick, 1]), (track[tick + 1, 0], track[tick + 1, 1])
         ahead, _ = to_car_frame(here[0], here[1], x, y, heading)
-        command = basic_acceleration(ahead - course.front, course.trigger, course.deceleration)
-        speed_draw = course.speed_noise * (2.0 * draws[1 + 2 * tick] - 1.0)
-        applied = command + course.acceleration_noise * (2.0 * draws[2 + 2 * tick] - 1.0) * command
+        command = basic_acceleration(ahead - footprint[0], course.trigger, course.deceleration)
+        speed_draw = speed_noise * (2.0 * draws[1 + 2 * tick] - 1.0)
+        applied = command + acceleration_noise * (2.0 * draws[2 + 2 * tick] - 1.0) * command
         after = next_speed(speed, applied, speed_draw, course.time_step)
         distance = travelled(speed, after, course.time_step)
         path[0, 0], path[0, 1], path[0, 2], path[0, 3] = x, y, heading, speed

@@ -63,14 +63,11 @@ class _Request(NamedTuple):
 class _Numbers(NamedTuple):
     """A scenario in numbers."""
 
-    front: float
-    rear: float
-    half_width: float
+    footprint: tuple[float, float, float]
     radius: float
     time_step: float
     periods: int
-    least_command: float
-    greatest_command: float
+    commands: tuple[float, float]  # the least and the greatest, m/s²
     minimum_impact_speed: float
 
 
@@ -104,10 +101,10 @@ def _advance(
     state: FloatArray,
 ) -> None:
     """Advance an episode by a control period, or, with a contact, to the end of the tick: nobody decides after it."""
-    footprint, shape = (numbers.front, numbers.rear, numbers.half_width), (numbers.radius, 0.0, 0.0)
+    footprint, shape = numbers.footprint, (numbers.radius, 0.0, 0.0)
     step, periods = numbers.time_step, numbers.periods
     path = np.empty((2, 4))
-    held = min(numbers.greatest_command, max(numbers.least_command, command))
+    held = min(numbers.commands[1], max(numbers.commands[0], command))
     vx, vy = velocities[tick, 0], velocities[tick, 1]
     if period == 0:
         state[9], state[10] = state[4], state[5]
@@ -274,14 +271,11 @@ def _numbers(episode: EpisodeSpec) -> _Numbers:
     scenario = episode.scenario
     car, limits = scenario.car, command_limits(scenario)
     return _Numbers(
-        car.front,
-        car.rear,
-        car.half_width,
+        (car.front, car.rear, car.half_width),
         scenario.adversary.reach,
         scenario.time_step,
         scenario.control_periods,
-        limits.least,
-        limits.greatest,
+        (limits.least, limits.greatest),
         scenario.collision.minimum_impact_speed,
     )
 

@@ -11,8 +11,6 @@ simulator says of the car is kept, and warned of.
 
 from __future__ import annotations
 
-import pickle
-import random
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,7 +18,7 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from skd_sim.controllers.isolated import CALL_LIMIT, LostProcessError, isolated
+from skd_sim.controllers.isolated import CALL_LIMIT
 from skd_sim.controllers.protocol import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import is_own_world
@@ -34,7 +32,6 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
 from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods, standing
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
-from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
@@ -71,9 +68,6 @@ def run_again(context: Context, assessment: Assessment) -> Assessment:
     if assessment.plan.car.is_own or context.fresh is None:
         return assessment
     found = repeatability(assessment.plan.controller, assessment.logs, context.fresh)
-    if found and not assessment.plan.car.is_external and (some := sample_of(assessment.logs)):
-        (used,) = context.workers.map(shared_generators, [some[0].episode])
-        found = tuple(f"{line}{draws_elsewhere(used)}" for line in found)
     return replace(assessment, warnings=(*assessment.warnings, *found))
 
 
@@ -154,35 +148,6 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
         f"{log.episode.mode.name.lower()}{lost}): {car} keeps something from one episode to the next, or draws from "
         "another generator than the one that reset gives it; so its figures depend on the order of the episodes. Let "
         "reset undo all that an episode leaves, and draw from its rng",
-    )
-
-
-def shared_generators(episode: EpisodeSpec) -> tuple[str, ...]:
-    """Return the process-wide random generators that the user's code draws from or seeds in an episode."""
-    try:
-        return isolated(episode.car.user_code, _shared_generators, episode)
-    except (AssessmentError, LostProcessError):
-        return ()
-
-
-def _shared_generators(episode: EpisodeSpec) -> tuple[str, ...]:
-    before = _states()
-    run_episode(episode)
-    return tuple(name for name, state in _states().items() if state != before[name])
-
-
-def _states() -> dict[str, bytes]:
-    return {"random": pickle.dumps(random.getstate()), "numpy.random": pickle.dumps(np.random.get_state())}  # noqa: NPY002
-
-
-def draws_elsewhere(used: Sequence[str]) -> str:
-    """Return the cause and the cure of a car that draws from generators that its process shares; empty: it does not."""
-    if not used:
-        return ""
-    return (
-        f". It draws from the process-wide {' and '.join(used)}, or seeds it, and what else ran in the process decides "
-        "what it draws: give it a generator of its own, made from rng (Stable-Baselines3: predict(…, "
-        "deterministic=True))"
     )
 
 
