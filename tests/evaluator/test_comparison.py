@@ -10,9 +10,9 @@ import pytest
 from comparison_support import FIGURES
 from scipy import stats
 from skd_evaluator.assessment.compare.comparison import (
+    INCONCLUSIVE,
     LESS_SAFE,
     NOT_COMPARED,
-    NOT_TOLD_APART,
     SAFER,
     compare,
     ranking_figure,
@@ -72,7 +72,7 @@ def test_on_other_phi_it_is_welchs_test_and_says_so() -> None:
     found = compare(result("a", one), result("b", other, elsewhere, seed=1))
     welch = stats.ttest_ind(other.mean(axis=1), one.mean(axis=1), equal_var=False)
     assert found.differences["margin"].p_value == pytest.approx(welch.pvalue, rel=1e-6)
-    assert (found.verdict, found.design) == (NOT_TOLD_APART, "unpaired, 8 and 5 φ")
+    assert (found.verdict, found.design) == (INCONCLUSIVE, "unpaired, 8 and 5 φ")
     assert "two samples" in found.warnings[0]
 
 
@@ -139,7 +139,7 @@ def test_a_cars_own_part_of_the_scenario_may_differ() -> None:
     car = {**FIGURES["scenario"]["car"], "width": 2.0}
     found = compare(result("a", values(1)), result("b", values(1), scenario={**FIGURES["scenario"], "car": car}))
     assert found.refusals == ()
-    assert found.verdict == NOT_TOLD_APART
+    assert found.verdict == INCONCLUSIVE
     assert found.as_dict()["differences"]["margin"]["p_value"] == 1.0
 
 
@@ -187,7 +187,7 @@ def test_skd_of_other_kamikazes_is_left_out_where_deviations_compare() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shift", "verdict"), [(-1.0, NOT_TOLD_APART), (0.0, SAFER), (1.0, SAFER)], ids=["opposite", "unsure", "same"]
+    ("shift", "verdict"), [(-1.0, INCONCLUSIVE), (0.0, SAFER), (1.0, SAFER)], ids=["opposite", "unsure", "same"]
 )
 def test_where_planned_kamikazes_say_the_opposite_for_sure_nothing_is_said(shift: float, verdict: str) -> None:
     rng = np.random.default_rng(4)
@@ -198,7 +198,7 @@ def test_where_planned_kamikazes_say_the_opposite_for_sure_nothing_is_said(shift
     assert found.differences["margin"].direction == 1
     assert found.differences["deviation"].direction == np.sign(shift)
     assert found.verdict == verdict
-    assert any("opposite" in line for line in found.lines()) == (verdict == NOT_TOLD_APART)
+    assert any("opposite" in line for line in found.lines()) == (verdict == INCONCLUSIVE)
 
 
 OPEN = {"margin_converged": False, "margin_budget": 512}
@@ -209,14 +209,14 @@ def test_a_car_whose_margin_is_an_upper_bound_is_never_the_safer_one() -> None:
     known, bound = result("a", values(1)), result("b", values(1, shift=1.0), **OPEN)
     for pair in ((known, bound), (bound, known)):
         found = compare(*pair)
-        assert (found.verdict, found.votes["margin"]) == (NOT_TOLD_APART, 0)
+        assert (found.verdict, found.votes["margin"]) == (INCONCLUSIVE, 0)
         (line,) = found.lines()
         assert line.startswith("the margin of b is at most 2.3")
         assert "had not converged at 512 candidates a trial: this car is not called the safer one" in line
     least = result("c", values(1, shift=-0.5), **OPEN)
     assert (compare(known, least).verdict, compare(least, known).verdict) == (LESS_SAFE, SAFER)
     assert "the margin of c is at most 0.8" in compare(least, known).lines()[0]
-    assert compare(least, bound).verdict == NOT_TOLD_APART
+    assert compare(least, bound).verdict == INCONCLUSIVE
 
 
 def test_what_a_search_may_have_missed_is_in_the_interval_of_the_difference() -> None:
@@ -248,7 +248,7 @@ def test_a_car_is_hardly_ever_safer_than_itself(budgets: tuple[int, int]) -> Non
             gains = (true * share).ravel()[deep]
             excess = {"mean": gains.mean(), "error": gains.std(ddof=1) / np.sqrt(24), "trials": 24}
             pair.append(result(name, true * (1.0 + share), margin_budget=budget, margin_excess=excess))
-        told_apart += compare(*pair).verdict != NOT_TOLD_APART
+        told_apart += compare(*pair).verdict != INCONCLUSIVE
     assert told_apart <= 0.05 * 400 + 1.645 * np.sqrt(400 * 0.05 * 0.95)
 
 

@@ -257,7 +257,7 @@ SMALL = (
     [
         ("Honest", []),
         ("Counting", ["episodes went differently when they were run again"]),
-        ("Stands", ["with nobody near, some_cars:Stands slows from"]),
+        ("Stands", ["undisturbed, some_cars:Stands slows from"]),
     ],
 )
 def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str, said: list[str]) -> None:

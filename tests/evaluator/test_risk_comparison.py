@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.assessment.compare.comparison import LESS_SAFE, NOT_TOLD_APART, SAFER, Comparison, compare
+from skd_evaluator.assessment.compare.comparison import INCONCLUSIVE, LESS_SAFE, SAFER, Comparison, compare
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
@@ -70,10 +70,10 @@ def told(results: dict[str, StoredResult], **directions: int) -> Comparison:
     [
         ({"margin": 1, "risk_1": 0, "risk_2": 0}, SAFER),
         ({"margin": 0, "risk_1": 0, "risk_2": -1}, SAFER),
-        ({"margin": 1, "risk_1": 0, "risk_2": 1}, NOT_TOLD_APART),
-        ({"margin": 0, "risk_1": 0, "risk_2": 0}, NOT_TOLD_APART),
+        ({"margin": 1, "risk_1": 0, "risk_2": 1}, INCONCLUSIVE),
+        ({"margin": 0, "risk_1": 0, "risk_2": 0}, INCONCLUSIVE),
         ({"margin": -1, "risk_1": 1}, LESS_SAFE),
-        ({"margin": 0, "risk_1": 1, "risk_2": -1}, NOT_TOLD_APART),
+        ({"margin": 0, "risk_1": 1, "risk_2": -1}, INCONCLUSIVE),
         ({"margin": 1}, SAFER),
     ],
 )
@@ -96,16 +96,16 @@ def leant(results: dict[str, StoredResult], sign: float, **figures: tuple[float,
     ("figures", "verdict", "opposed"),
     [
         ({"margin": (3.0, 1), "risk_2": (-1.0, 0)}, SAFER, ()),
-        ({"margin": (3.0, 1), "risk_2": (0.6, 0)}, NOT_TOLD_APART, ("risk_2",)),
+        ({"margin": (3.0, 1), "risk_2": (0.6, 0)}, INCONCLUSIVE, ("risk_2",)),
         ({"margin": (3.0, 1), "risk_2": (0.4, 0)}, SAFER, ()),
         ({"margin": (3.0, 1), "risk_1": (0.0, 0), "risk_2": (0.0, 0)}, SAFER, ()),
         ({"margin": (-0.1, 0), "risk_1": (-3.0, 1), "risk_2": (-1.0, 0)}, SAFER, ()),
-        ({"margin": (-0.7, 0), "risk_1": (-3.0, 1), "risk_2": (1.0, 0)}, NOT_TOLD_APART, ("margin", "risk_2")),
-        ({"margin": (0.7, 0), "risk_1": (3.0, 1)}, NOT_TOLD_APART, ("margin",)),
+        ({"margin": (-0.7, 0), "risk_1": (-3.0, 1), "risk_2": (1.0, 0)}, INCONCLUSIVE, ("margin", "risk_2")),
+        ({"margin": (0.7, 0), "risk_1": (3.0, 1)}, INCONCLUSIVE, ("margin",)),
         ({"margin": (3.0, 1), "risk_1": (2.0, 0), "risk_3": (2.0, 0)}, SAFER, ()),
-        ({"margin": (3.0, 1), "risk_1": (2.0, 1)}, NOT_TOLD_APART, ()),
-        ({"margin": (-0.7, 0), "risk_1": (0.6, 0)}, NOT_TOLD_APART, ()),
-        ({"margin": (-3.0, 1), "risk_1": (-3.0, 1), "risk_2": (0.6, 0)}, NOT_TOLD_APART, ()),
+        ({"margin": (3.0, 1), "risk_1": (2.0, 1)}, INCONCLUSIVE, ()),
+        ({"margin": (-0.7, 0), "risk_1": (0.6, 0)}, INCONCLUSIVE, ()),
+        ({"margin": (-3.0, 1), "risk_1": (-3.0, 1), "risk_2": (0.6, 0)}, INCONCLUSIVE, ()),
     ],
 )
 def test_an_estimate_that_points_the_other_way_withholds_the_verdict(figures, verdict, opposed, results):

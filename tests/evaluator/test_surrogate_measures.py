@@ -18,6 +18,7 @@ from skd_evaluator.metrics.surrogate_measures import (
     delta_v,
     episode_measures,
     fatality_risk,
+    greater_delta_v,
     greatest_required_deceleration,
     headways,
     least_clearance,

@@ -77,9 +77,9 @@ def _others_in_last_tick(log: EpisodeLog) -> list[tuple[RoadUserState, RoadUserS
 def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place: FloatArray, heading: float) -> float:
     """Return the distance of the car at a pose to somebody at a place (m) with a heading (rad), m."""
     car = log.episode.scenario.car
-    footprint, nobody_moves = (car.front, car.rear, car.half_width), np.zeros((1, 2))
+    footprint, no_motion = (car.front, car.rear, car.half_width), np.zeros((1, 2))
     states, turned = np.array([[*pose, 0.0]]), np.array([heading])
-    return float(clearances(Interaction(np.zeros(1), states, place[None], nobody_moves, turned, footprint, shape))[0])
+    return float(clearances(Interaction(np.zeros(1), states, place[None], no_motion, turned, footprint, shape))[0])
 
 
 STANDING = 0.1
@@ -136,7 +136,7 @@ def command_age(logs: Iterable[EpisodeLog]) -> dict[str, Any] | None:
 SURROGATES = "surrogate_measures.csv"
 ALONG_PHI, KAMIKAZES = "along_phi", "kamikazes"
 DEPENDS_ON = {
-    ALONG_PHI: "the car and φ: nobody aims at the car",
+    ALONG_PHI: "the car and φ; no adversary aims at the car",
     KAMIKAZES: "the car, φ, and kamikazes that aim at being hit",
 }
 
@@ -209,7 +209,7 @@ def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]
     return Surrogates(tuple(logs), tuple(name for _, name in kept), surrogate_measures(scenario, courses, collided))
 
 
-DRIVES_NOT: Final = "a car that does not drive hits nobody, so its figures do not say how it avoids people"
+DRIVES_NOT: Final = "a car that does not drive hits no road user, so its figures do not say how it avoids them"
 _NEARLY_ALL = 0.9  # of the runs along φ
 _GENTLY, _ROOM = 2.0, 5.0  # m/s², m
 

@@ -84,7 +84,7 @@ class Failures:
         scale: by which the normals are multiplied.
         runs: crude crossings at that scale, aborted ones left out.
         hits: of these, in which the car hits.
-        looked_at: how many of the hits are told apart.
+        looked_at: how many of the hits are classified.
         kinds: of each kind, the most frequent one first, how many there are, and the nearest of them.
     """
 

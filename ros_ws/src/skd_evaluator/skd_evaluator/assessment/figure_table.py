@@ -247,7 +247,7 @@ FIGURES = (
     Figure("margin_gap", LENGTH, lambda m: m.gap,
            "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
     Figure("margin_trials", COUNT_OR_NULL, lambda m: int(m.values.size), of=_MARGIN, compare=6),
-    Figure("margin_beyond", COUNT_OR_NULL, lambda m: m.beyond, "trials in which nobody is hit within eta_max",
+    Figure("margin_beyond", COUNT_OR_NULL, lambda m: m.beyond, "trials without a hit within eta_max",
            _MARGIN, campaign=5, compare=7),
     Figure("margin_how", TEXT_OR_NULL, lambda m: m.search.how if m.search else "",
            "what was driven, where it was not the car itself in process", _MARGIN, recomputed=False, campaign=4,

@@ -253,7 +253,7 @@ def _were(count: int) -> str:
 
 NOT_CREDIBLE: Final = "not credible: "
 """Begins a warning with which an assessment fails, no gate passes, and nothing is compared."""
-UNDISTURBED: Final = "with nobody near, "
+UNDISTURBED: Final = "undisturbed, "
 """Begins a warning of a car that slows down for nobody, which a comparison repeats."""
 
 

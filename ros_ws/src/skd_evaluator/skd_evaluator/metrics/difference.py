@@ -53,14 +53,14 @@ class Difference:
 
     @property
     def direction(self) -> int:
-        """1: the second is more; −1: less; 0: they are not told apart."""
+        """1: the second is more; −1: less; 0: not significant."""
         if self.interval is None or self.interval[0] <= 0.0 <= self.interval[1]:
             return 0
         return 1 if self.value > 0.0 else -1
 
     @property
     def leaning(self) -> int:
-        """Where the estimate points, told apart or not: 1: the second is more; −1: less; 0: a tie (`TIE`)."""
+        """Where the estimate points, significant or not: 1: the second is more; −1: less; 0: a tie (`TIE`)."""
         if abs(self.value) <= TIE * (self.standard_error or 0.0):
             return 0
         return 1 if self.value > 0.0 else -1

@@ -5,7 +5,7 @@ one set of draws, which both cars share, so most of the chance cancels. The mean
 chance; so it is made monotone (isotonic regression, weighted by trials: Barlow et al. 1972), joined by straight
 lines, and C is where it passes 0.
 
-The interval holds every C at which the difference is not told apart from 0: the test is inverted, as in Fieller's
+The interval holds every C at which the difference is not significant: the test is inverted, as in Fieller's
 interval for a ratio (Fieller, Journal of the Royal Statistical Society B 16, 1954). The test is that of two cars on the
 same φ, Student's with the cluster-robust error over φ (`clustered_mean`). So it speaks of all φ of this kind, and the
 second one, which takes φ as given and draws trials only, of these φ.

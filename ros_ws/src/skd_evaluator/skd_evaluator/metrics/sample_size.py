@@ -98,7 +98,7 @@ def _mean_of_root(freedom: float) -> float:
 def power(
     difference: float, between: float, within: float, safe: int, trials: int, *, paired: bool, level: float = 0.05
 ) -> float:
-    """Return the chance that two cars are told apart, by noncentral t.
+    """Return the chance that a difference of two cars is found, by noncentral t.
 
     Args:
         difference: difference of the means, in the unit of the values.
@@ -220,13 +220,13 @@ class UntilWidth:
     """When an assessment stopped, and why.
 
     Attributes:
-        wanted: width of the interval of the mean deviation, m.
+        requested: width of the interval of the mean deviation, m.
         most_looks: greatest number of looks.
         confidence: confidence of each look's interval, such that all together hold with 95 %.
         looks: number of φ, mean deviation and its interval (m) at each.
     """
 
-    wanted: float
+    requested: float
     most_looks: int
     confidence: float
     looks: tuple[tuple[int, Clustered | None], ...]
@@ -238,15 +238,15 @@ class UntilWidth:
 
     @property
     def reached(self) -> bool:
-        """Whether the last interval is as narrow as it was wanted."""
-        return narrow_enough(self.looks[-1][1], self.wanted)
+        """Whether the last interval is as narrow as requested."""
+        return narrow_enough(self.looks[-1][1], self.requested)
 
     @property
     def text(self) -> str:
         """What came of it, in one line."""
         count, width = self.looks[-1][0], self.width
         now = "there is none" if width is None else f"it is {width:.3f} m wide"
-        end = "" if self.reached else f", not {self.wanted:g} m as wanted: give more φ a batch (--safe-count)"
+        end = "" if self.reached else f", not {self.requested:g} m as requested: give more φ a batch (--safe-count)"
         return (
             f"after {count} φ the interval of the deviation: {now}{end}; intervals by φ hold at all "
             f"{self.most_looks} looks together"
@@ -255,7 +255,7 @@ class UntilWidth:
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of assessment.json."""
         return {
-            "wanted": self.wanted,
+            "requested": self.requested,
             "reached": self.reached,
             "text": self.text,
             "most_looks": self.most_looks,

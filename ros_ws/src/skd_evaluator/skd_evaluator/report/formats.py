@@ -311,7 +311,7 @@ def failures_sentence(figures: Mapping[str, Any]) -> str:
     if found is None:
         return ""
     scaled = "" if found["scale"] == 1.0 else f" whose deviations are {found['scale']:g} times as large"
-    first = "" if found["looked_at"] == found["hits"] else f" (the first {found['looked_at']} are told apart)"
+    first = "" if found["looked_at"] == found["hits"] else f" (the first {found['looked_at']} are classified)"
     return f"{found['hits']} of {found['runs']} crossings of people{scaled} ended in a hit by the moving car{first}."
 
 

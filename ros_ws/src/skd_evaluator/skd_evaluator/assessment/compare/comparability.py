@@ -237,7 +237,7 @@ def different_phi(first: StoredResult, second: StoredResult) -> list[str]:
     if kind != second.figures["safe"] or len(shared(first, second)) == min(len(first.safe), len(second.safe)):
         return []
     between = f"{first.folder} and {second.folder}"
-    return [f"{between} are of different φ: compared as two samples, which takes more φ to tell apart"]
+    return [f"{between} are of different φ: compared as two samples, which takes more φ to find a difference"]
 
 
 def _simulator(result: StoredResult) -> str:

@@ -2,9 +2,9 @@
 
 Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
 so or tie, and one of them says so; and if the estimate of neither the margin nor R(2), the risk that ranks, points the
-other way: what is no longer a tie need not be told apart to raise a doubt. Figures of planned kamikazes depend on car
+other way: what is no longer a tie need not be significant to withhold it. Figures of planned kamikazes depend on car
 and adversary: they are compared only if adversary model and objective were the same. Then they may object: if planned
-deviations surely say the opposite of the margins, the cars are not told apart.
+deviations surely say the opposite of the margins, the comparison is inconclusive.
 
 Safety has a price (`metrics/price_of_caution.py`), which the verdict names; a car that does not get past people is not
 called safer.
@@ -42,13 +42,13 @@ from skd_evaluator.metrics.price_of_caution import stored_price
 from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
 
-SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
+SAFER, LESS_SAFE, INCONCLUSIVE, NOT_COMPARED = "safer", "less safe", "inconclusive", "not compared"
 KEEPS_OUT = "leaves room only because it does not get past people"
 MARGIN, DEVIATION = "margin", "deviation"
 RANKING_RISK = f"risk_{RANKS:g}"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
 _SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEVIATION, *RISKS)}
-_VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
+_VERDICTS = {1: SAFER, 0: INCONCLUSIVE, -1: LESS_SAFE}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +97,9 @@ class Comparison:
             return self._keeps_out
         says = set(self._sure.values())
         if self.disagree or len(says) != 1 or self.opposed:
-            return NOT_TOLD_APART
+            return INCONCLUSIVE
         said = says.pop()
-        return NOT_TOLD_APART if self.is_bound[said > 0] else self._priced(said)
+        return INCONCLUSIVE if self.is_bound[said > 0] else self._priced(said)
 
     def _priced(self, said: int) -> str:
         """Return the verdict that the second car is safer (1) or less safe (−1), with what that costs."""
@@ -143,7 +143,7 @@ class Comparison:
 
     @property
     def votes(self) -> dict[str, int]:
-        """What decides, by figure: 1: the second car is safer; −1: less safe; 0: they are not told apart."""
+        """What decides, by figure: 1: the second car is safer; −1: less safe; 0: inconclusive."""
         votes = {name: _SIGNS[name] * self.differences[name].direction for name in self._deciding}
         if votes.get(MARGIN) and self.is_bound[votes[MARGIN] > 0]:
             votes[MARGIN] = 0  # the greater margin may be less
@@ -151,7 +151,7 @@ class Comparison:
 
     @property
     def opposed(self) -> tuple[str, ...]:
-        """Of margin and R(2) those that do not tell the cars apart, and point away from all figures that do.
+        """Of margin and R(2) those that are inconclusive, and point away from all figures that do.
 
         Risks at other scales oppose where they are sure: where φ itself is dangerous for a car, people who deviate
         three times as much are hit less, and few who deviate once are hit by a good one.
@@ -170,7 +170,7 @@ class Comparison:
 
     @property
     def _sure(self) -> dict[str, int]:
-        """Of `votes` those that tell the cars apart."""
+        """Of `votes` those that are not inconclusive."""
         return {name: vote for name, vote in self.votes.items() if vote}
 
     @property
@@ -179,9 +179,9 @@ class Comparison:
 
     @property
     def decided_by(self) -> str | None:
-        """Figure that decides: a risk, where the margin does not tell the cars apart and the risk does."""
+        """Figure that decides: a risk, where the margin is inconclusive and the risk is not."""
         stated = list(self._sure)
-        undecided = self.verdict in (NOT_TOLD_APART, NOT_COMPARED) or not stated
+        undecided = self.verdict in (INCONCLUSIVE, NOT_COMPARED) or not stated
         return self.judged_by if undecided or self.judged_by in stated else stated[0]
 
     @property
@@ -299,14 +299,14 @@ def _of_the_risks(held: Comparison) -> list[str]:
     if better and worse:
         said = f"better by {_labels(better)} and worse by {_labels(worse)}"
         disagree = "margin and risk disagree: " if MARGIN in (*better, *worse) else ""
-        return [f"{between} are not told apart: {disagree}the second is {said}"]
+        return [f"{between} compare inconclusively: {disagree}the second is {said}"]
     if held.opposed:
         sure, unsure = ("better", "worse") if better else ("worse", "better")
         said = f"{sure} by {_labels(better or worse)}, and {unsure} by the estimate of {_labels(held.opposed)}"
-        return [f"{between} are not told apart: the second is {said}, by less than would tell them apart"]
+        return [f"{between} compare inconclusively: the second is {said}, which is not significant"]
     judge = held.judged_by
     if (better or worse) and judge is not None and not held.votes[judge]:
-        return [f"{between} are told apart by {_labels(better or worse)}, and not by {AT_THE_TOP[judge].label}"]
+        return [f"{between} differ by {_labels(better or worse)}, and not significantly by {AT_THE_TOP[judge].label}"]
     return []
 
 
@@ -341,7 +341,7 @@ def _of_the_judge(held: Comparison) -> list[str]:
             )
         if held.disagree:
             found.append(
-                f"{held.first.folder} and {held.second.folder} are not told apart: margins and planned deviations "
+                f"{held.first.folder} and {held.second.folder} compare inconclusively: margins and planned deviations "
                 "say the opposite of each other"
             )
         return found

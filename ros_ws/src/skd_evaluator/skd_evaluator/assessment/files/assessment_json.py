@@ -65,10 +65,10 @@ def _definitions() -> dict[str, Any]:
         "aborted_reason": _object(count={"type": "integer", "minimum": 1}, first=_TEXT),
         "commands_clipped": _object(commands=_COUNT, episodes=_COUNT),
         "simulator_contacts": _object(
-            both=_said(_COUNT, "episodes in which both say that the car touched somebody"),
+            both=_said(_COUNT, "episodes in which both say that the car touched a road user"),
             geometry_alone=_said(_COUNT, "in which SKD's geometry alone says so"),
             simulator_alone=_said(_COUNT, "in which the simulator's shapes alone say so"),
-            episodes=_said(_COUNT, "episodes in which both were asked; aborted ones left out"),
+            episodes=_said(_COUNT, "episodes in which both say something; aborted ones left out"),
             greatest_gap=_said(_FIGURE, "greatest time between the two, where both say so, s")),
         "command_age": _object(
             **{name: {"type": "number", "minimum": 0} for name in ("median", "p99", "worst")},
@@ -99,14 +99,14 @@ def _definitions() -> dict[str, Any]:
             failures=_said(or_null(_object(
                 scale=_said(_NUMBER, "s at which they are"), runs=_COUNT,
                 hits=_said(_COUNT, "crude crossings in which the car hits"),
-                looked_at=_said(_COUNT, "of these, told apart: the first of them"),
+                looked_at=_said(_COUNT, "of these, classified: the first of them"),
                 kinds=_list(_object(
                     kind=_said(_TEXT, "what the walker did"), hits=_COUNT, share=_SHARE,
                     nearest=_list(_object(
                         safe_trajectory=_COUNT, trial=_COUNT,
                         deviation=_said(_NUMBER, "from φ, in standard deviations of people"),
                         people=_said(_SHARE, "share of people who deviate as much or more"),
-                        impact_speed=_said(_NUMBER, "m/s"))))))), "the most likely failures; null: nobody was hit")),
+                        impact_speed=_said(_NUMBER, "m/s"))))))), "the most likely failures; null: no hit")),
         "price_of_caution": _object(
             horizon=_said(_NUMBER, "s after which the car has not got past"),
             hard_braking=_said(_NUMBER, "m/s², that counts as needless"), aborted=_COUNT,
@@ -127,11 +127,11 @@ def _definitions() -> dict[str, Any]:
         "clusterings": _clusterings(AT_THE_TOP.values()),
         "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
         "until_width": _object(
-            wanted=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
+            requested=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
             looks=_list(_object(safe_count=_COUNT, deviation=_FIGURE, interval=_BETWEEN))),
         "static_test": _object(
             place=_said(_NUMBER, "% of the car's width"), touched=_FLAG,
-            target=_said(_FLAG, "whether the target was touched, and nobody else"),
+            target=_said(_FLAG, "whether the target was touched, and no other"),
             impact_speed=_said(_NUMBER, "of the car, m/s; 0 without a contact"),
             speed_ahead=_said(_NUMBER, "of the target, the way that the car points, m/s"),
             fastest=_said(_NUMBER, "greatest speed of the car, m/s"),

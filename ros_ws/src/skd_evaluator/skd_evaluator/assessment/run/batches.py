@@ -317,10 +317,10 @@ def _moments(requests: Sequence[_Request], count: int, rng: np.random.Generator)
     chosen, least = np.zeros((count, 2), np.int64), np.full(count, np.inf)
     for number, requested in enumerate(requests):
         moves_towards = (requested.states[3] > 0.0) & (requested.states[5] > requested.states[1])
-        lots = rng.random(len(requested.rows)) + ~moves_towards
-        better = np.flatnonzero(lots < least[requested.rows])
+        draws = rng.random(len(requested.rows)) + ~moves_towards
+        better = np.flatnonzero(draws < least[requested.rows])
         rows = requested.rows[better]
-        least[rows] = lots[better]
+        least[rows] = draws[better]
         chosen[rows, 0], chosen[rows, 1] = number, better
     return chosen
 

@@ -217,7 +217,7 @@ def _undisturbed(plan: Plan, number: int) -> EpisodeSpec:
     scenario = replace(public, car=replace(public.car, meet_safe_trajectory=False))
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
     away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
-    nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
+    nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "undisturbed")
     return EpisodeSpec(
         scenario,
         Mode.REPLAY,
@@ -271,7 +271,7 @@ def _warnings(assessment: Assessment, simulator: str) -> tuple[str, ...]:
     strayed = [log.strayed for log in logs if log.strayed > _STRAYED]
     if strayed:
         found.append(
-            f"in {len(strayed)} of {len(logs)} episodes in simulator {simulator} the adversary was not where it had "
-            f"been told to go, by up to {max(strayed):.2g} m: it obeys later than at once, or not quite"
+            f"in {len(strayed)} of {len(logs)} episodes in simulator {simulator} the adversary was not where it was "
+            f"commanded to go, by up to {max(strayed):.2g} m"
         )
     return tuple(found)

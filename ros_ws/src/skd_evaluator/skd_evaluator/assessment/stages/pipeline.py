@@ -84,12 +84,12 @@ def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
 
 def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[EpisodeSpec]:
     """Return short episodes that make the planners of a plan compile, by each of some objectives."""
-    models, wanted = [plan.car_model], list(objectives)
+    models, needed = [plan.car_model], list(objectives)
     if car_model.needs_learning(plan):  # of whatever kind its model will be, and by the kamikazes from which it learns
-        models, wanted = any_car_models(), list(dict.fromkeys([*objectives, *DEFAULT_OBJECTIVES]))
+        models, needed = any_car_models(), list(dict.fromkeys([*objectives, *DEFAULT_OBJECTIVES]))
     return [
         episode
-        for objective in wanted
+        for objective in needed
         for model in models
         for episode in warm_up_episodes(
             plan.controller, objective=objective, car_model=model, dynamics=plan.scenario.car.dynamics

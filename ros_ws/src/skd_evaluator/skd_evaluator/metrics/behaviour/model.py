@@ -59,7 +59,7 @@ class Meaning:
 
 
 MEANINGS: Final = {
-    "start_delay": Meaning("standard deviation of when somebody sets off", "s", 0.0, 5.0, fitted=False),
+    "start_delay": Meaning("standard deviation of when a person sets off", "s", 0.0, 5.0, fitted=False),
     "pace": Meaning("standard deviation of the logarithm of a person's pace", "", 0.0, 1.0, by_square=True),
     "heading": Meaning("standard deviation of a person's direction", "rad", 0.0, 1.0, by_square=True),
     "unrest": Meaning("standard deviation of the logarithm of how restless a person is", "", 0.0, 1.5, by_square=True),

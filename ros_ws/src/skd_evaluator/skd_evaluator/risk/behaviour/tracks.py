@@ -81,8 +81,8 @@ def read_tracks(paths: Sequence[Path], damage: Damage, kind: str = "pedestrian")
     _check_directions(enough)
     if quantile_table(padded([one.positions for one in enough]), TIME_STEP).min() < _DRAWN:
         raise UsageError(
-            f"{paths[0]}: most of its tracks go straight on at one pace to the millimetre, as nobody does who was "
-            "tracked: safe trajectories that were made by rule say nothing of people"
+            f"{paths[0]}: most of its tracks go straight on at one pace to the millimetre, as no tracked "
+            "person does: safe trajectories that were made by rule say nothing of people"
         )
     check_once((name, one.positions) for name, one in named)
     return enough
@@ -92,7 +92,7 @@ def _check_directions(tracks: Sequence[Tracked]) -> None:
     """Refuse tracks that do not go along x: to a model they are people who head anywhere."""
     for one in tracks:
         if np.hypot(*(one.positions - one.positions[0]).T).max() < _STANDS:
-            raise UsageError(f"{one.name}: stands all the time, so nobody knows what way is intended; leave it out")
+            raise UsageError(f"{one.name}: stands all the time, so its intended trajectory is not known; leave it out")
     off = [(one, one.positions[-1] - one.positions[0]) for one in tracks]
     going = [(one, by) for one, by in off if np.hypot(*by) >= _GOES]
     aside = [one for one, by in going if by[0] < _ASIDE * np.hypot(*by)]
