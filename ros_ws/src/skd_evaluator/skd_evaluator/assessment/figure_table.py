@@ -218,6 +218,18 @@ def _interval(found: Clustered | None) -> Interval | None:
     return found.interval if found else None
 
 
+def _risk(scale: float) -> dict[str, Any]:
+    """Return what the rows of the risk have in common."""
+
+    def of(name: str) -> Value:
+        return lambda risks: getattr(risks.at(scale), name, None)
+
+    return {
+        "of": _RISK, "better": _LESS, "value": of("value"), "by_phi": of("ci95_by_phi"), "independent": "ci95_runs",
+        "plain": of("ci95"),
+    }  # fmt: skip
+
+
 def _equivalent(end: str) -> Value:
     return lambda a: equivalent_entries(a.equivalent)[f"equivalent_multiplier{end}"]
 
@@ -255,16 +267,13 @@ FIGURES = (
     Figure("impact_speed", SPEEDS, lambda m: m.impact_speed,
            "speed of the car when it hits on the margin trajectories, m/s: mean and 90 % quantile", _MARGIN,
            "impact speed", _LESS, summary=4, first=True, campaign=6, compare=13),
-    Figure("risk_1", PROBABILITY, lambda r: r.value_at(1.0),
-           "R(1): probability that the moving car's front hits a road user who walks φ with natural variation", _RISK,
-           "risk R(1)", _LESS, by_phi=lambda r: r.interval_at(1.0), independent="ci95_runs",
-           plain=lambda r: r.plain_at(1.0),
-           summary=11, first=True, details=4, difference=7, campaign=26, compare=25, junit=12),
-    Figure("risk_2", PROBABILITY, lambda r: r.value_at(2.0), "R(2): the same of people who deviate twice as much",
-           _RISK, "risk R(2)", _LESS, by_phi=lambda r: r.interval_at(2.0), independent="ci95_runs",
-           plain=lambda r: r.plain_at(2.0), summary=12, details=5, difference=8, campaign=27, compare=26),
-    Figure("risk_3", PROBABILITY, lambda r: r.value_at(3.0), "R(3): three times as much", _RISK, "risk R(3)", _LESS,
-           by_phi=lambda r: r.interval_at(3.0), independent="ci95_runs", plain=lambda r: r.plain_at(3.0), summary=13,
+    Figure("risk_1", PROBABILITY,
+           says="R(1): probability that the moving car's front hits a road user who walks φ with natural variation",
+           label="risk R(1)", **_risk(1.0), summary=11, first=True, details=4, difference=7, campaign=26, compare=25,
+           junit=12),
+    Figure("risk_2", PROBABILITY, says="R(2): the same of people who deviate twice as much", label="risk R(2)",
+           **_risk(2.0), summary=12, details=5, difference=8, campaign=27, compare=26),
+    Figure("risk_3", PROBABILITY, says="R(3): three times as much", label="risk R(3)", **_risk(3.0), summary=13,
            details=6, difference=9, campaign=28, compare=27),
     Figure("risk", Kind(or_null(ref("risk"))), lambda r: r.as_dict(),
            "by which behaviour model, and how it was estimated", _RISK),

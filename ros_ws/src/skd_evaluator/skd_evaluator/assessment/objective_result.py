@@ -173,29 +173,25 @@ class ObjectiveResult:
 
     def per_safe_trajectory(self) -> list[dict[str, Any]]:
         """Return the figures of these kamikazes for each φ."""
-        rows = zip(
-            self.kamikaze,
-            self.successes_by_phi,
+        means = zip(
             self.deviation.means,
             self.of_successes.means,
             self.skd.distances.means,
             self.skd.prefixes.means,
-            self.skd.kept,
             strict=True,
         )
+        keys = ("deviation", "deviation_of_successes", "skd", "skd_prefix")
+        rows = zip(self.kamikaze, self.successes_by_phi, self.skd.kept, means, strict=True)
         return [
             {
                 "name": kamikaze.safe_trajectory.name,
-                "deviation": deviation,
-                "deviation_of_successes": of_successes,
-                "skd": distance,
-                "skd_prefix": prefix,
+                **dict(zip(keys, found, strict=True)),
                 "pairs": len(kept),
                 "trials": kamikaze.trials,
                 "failed": kamikaze.trials - kamikaze.aborted - successes,
                 "aborted": kamikaze.aborted,
             }
-            for kamikaze, successes, deviation, of_successes, distance, prefix, kept in rows
+            for kamikaze, successes, kept, found in rows
         ]
 
 

@@ -121,11 +121,14 @@ def variance_components(groups: Sequence[npt.ArrayLike]) -> VarianceComponents:
     Raises:
         ValueError: the values are not plain lists of finite numbers.
     """
-    filled = [numbers for numbers in map(plain_numbers, groups) if numbers.size]
-    counts = np.array([numbers.size for numbers in filled], dtype=np.float64)
-    means = np.array([mean(numbers) for numbers in filled])
-    inside = math.fsum(math.fsum((numbers - centre) ** 2) for numbers, centre in zip(filled, means, strict=True))
-    return components_of(means, counts, inside)
+    return components_of(*_moments([numbers for numbers in map(plain_numbers, groups) if numbers.size]))
+
+
+def _moments(filled: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, float]:
+    """Return mean and number of the values of each group, none of which is empty, and the sum of squares within all."""
+    counts = np.array([one.size for one in filled], dtype=np.float64)
+    means = np.array([mean(one) for one in filled])
+    return means, counts, math.fsum(math.fsum((one - centre) ** 2) for one, centre in zip(filled, means, strict=True))
 
 
 def components_of(means: FloatArray, counts: FloatArray, inside: float) -> VarianceComponents:
@@ -166,9 +169,7 @@ def clustered_mean(
     filled = [one for one in numbers if one.size]
     if not filled:
         return None
-    counts = np.array([one.size for one in filled], dtype=np.float64)
-    means = np.array([mean(one) for one in filled])
-    inside = math.fsum(math.fsum((one - centre) ** 2) for one, centre in zip(filled, means, strict=True))
+    means, counts, inside = _moments(filled)
     components = components_of(means, counts, inside)
     value = mean(np.concatenate(filled))
     error, freedom = cluster_error(means, counts, components)

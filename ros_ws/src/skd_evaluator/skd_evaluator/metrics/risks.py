@@ -244,18 +244,6 @@ class Risks:
         """Return the risk at a scale; None where it was not asked for."""
         return next((one for one in self.scales if one.scale == scale), None)
 
-    def value_at(self, scale: float) -> float | None:
-        """Return R at a scale; None where it is not known."""
-        return one.value if (one := self.at(scale)) else None
-
-    def interval_at(self, scale: float) -> Interval | None:
-        """Return the 95 % interval of it over φ."""
-        return one.ci95_by_phi if (one := self.at(scale)) else None
-
-    def plain_at(self, scale: float) -> Interval | None:
-        """Return the 95 % interval of the estimate, for these φ."""
-        return one.ci95 if (one := self.at(scale)) else None
-
     def as_dict(self) -> dict[str, Any]:
         """Return the entry `risk` of assessment.json."""
         scales = [one.as_dict() for one in self.scales]

@@ -24,6 +24,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, until_
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.objective_result import ObjectiveResult
 from skd_evaluator.assessment.plan import Stage, episode_id, split_episode_id
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.deviation import Hit, deviation_pairs
@@ -46,10 +47,10 @@ def write_episodes(path: Path | IO[bytes], assessment: Assessment) -> None:
     different objectives with one id have the same draws. Arrays that begin with `margin` are of the ways of least
     deviation, which nobody has planned.
     """
-    rows: list[tuple[EpisodeLog, int, str]] = []  # with the number of φ and the objective
+    plan, rows = assessment.plan, list[tuple[EpisodeLog, int, str]]()  # with the number of φ and the objective
     for index, phi in enumerate(assessment.safe):
         nowhere = np.full((len(phi), 4), np.nan)  # Φ was recorded, or made against another car
-        episode = EpisodeSpec(assessment.plan.scenario, Mode.SAFE, assessment.plan.seed, 0)
+        episode = EpisodeSpec(plan.scenario, Mode.SAFE, plan.seed, 0)
         rows.append((EpisodeLog(episode, Outcome.ARRIVED, phi.positions, nowhere, math.nan, math.nan), index, ""))
     for result in assessment.results:
         for index, kamikaze in enumerate(result.kamikaze):
@@ -69,7 +70,7 @@ def write_episodes(path: Path | IO[bytes], assessment: Assessment) -> None:
         safe_name=_texts([one.name for one in assessment.safe]),
         **_margin_columns(assessment),
         **_risk_columns(assessment),
-        **_settings(assessment),
+        **_settings(plan.scenario, plan.seed, plan.maximum_distance, assessment.results),
     )
 
 
@@ -82,13 +83,7 @@ def write_probes(path: Path, logs: Sequence[EpisodeLog]) -> None:
         safe_index=np.zeros(count, np.int32),
         objective=np.zeros(count, "U16"),
         safe_name=_texts([]),
-        objectives=_texts([]),
-        plans_deviation=np.zeros(0, np.bool_),
-        time_step=np.array(scenario.time_step),
-        eta_max=np.array(scenario.eta_max),
-        hit_speed=np.array(scenario.collision.hit_speed),
-        maximum_distance=np.array(math.nan),
-        seed=np.array(logs[0].episode.seed, np.int64),
+        **_settings(scenario, logs[0].episode.seed),
     )
 
 
@@ -129,17 +124,18 @@ def _index_of(assessment: Assessment, log: EpisodeLog) -> int:
     return number if number in alike else alike[0]
 
 
-def _settings(assessment: Assessment) -> Columns:
+def _settings(
+    scenario: Scenario, seed: int, maximum_distance: float | None = None, results: Sequence[ObjectiveResult] = ()
+) -> Columns:
     """Return what the figures depend on beside the trajectories."""
-    plan = assessment.plan
     return {
-        "time_step": np.array(plan.scenario.time_step),
-        "eta_max": np.array(plan.scenario.eta_max),
-        "hit_speed": np.array(plan.scenario.collision.hit_speed),
-        "maximum_distance": np.array(math.nan if plan.maximum_distance is None else plan.maximum_distance),
-        "seed": np.array(plan.seed, np.int64),
-        "objectives": _texts([str(one.plan.objective) for one in assessment.results]),
-        "plans_deviation": np.array([one.plan.limits_deviation for one in assessment.results]),
+        "time_step": np.array(scenario.time_step),
+        "eta_max": np.array(scenario.eta_max),
+        "hit_speed": np.array(scenario.collision.hit_speed),
+        "maximum_distance": np.array(math.nan if maximum_distance is None else maximum_distance),
+        "seed": np.array(seed, np.int64),
+        "objectives": _texts([str(one.plan.objective) for one in results]),
+        "plans_deviation": np.array([one.plan.limits_deviation for one in results], np.bool_),
     }
 
 
