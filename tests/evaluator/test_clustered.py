@@ -12,7 +12,6 @@ from scipy import stats
 from skd_evaluator.metrics.clustered import (
     DISTANCES,
     FREEDOM,
-    PREFIXES,
     Prior,
     VarianceComponents,
     cluster_error,
@@ -142,21 +141,6 @@ def test_rates_at_their_ends_and_degenerate_ones_are_said():
         clustered_rate([(4, 3)])
 
 
-def test_rates_that_differ_by_group_are_covered_where_wilsons_interval_is_not():
-    """Rates of 2 to 25 %, as the safe trajectories of one car may have."""
-    rng = np.random.default_rng(5)
-    trials, clustered, together = 1500, 0, 0
-    rates = rng.uniform(0.02, 0.25, size=(trials, 10))
-    for row in rng.binomial(100, rates):
-        low, high = clustered_rate([(int(hit), 100) for hit in row]).interval
-        clustered += low <= 0.135 <= high
-        ends = stats.binomtest(int(row.sum()), 1000).proportion_ci(method="wilson")
-        together += ends.low <= 0.135 <= ends.high
-    error = math.sqrt(0.95 * 0.05 / trials)
-    assert abs(clustered / trials - 0.95) < 4.0 * error
-    assert together / trials < 0.8
-
-
 PLAIN = Prior(ratio=0.1, spread=1.0, skewness=0.0)
 
 
@@ -195,19 +179,3 @@ def test_it_is_the_posterior_of_the_one_way_layout(counts):
     assert held == pytest.approx(0.95, abs=3e-3)
     if len(set(counts)) == 1:
         assert centres == pytest.approx([found.value] * len(centres))
-
-
-def test_it_holds_for_a_mixture_of_which_five_often_hold_one_kind_alone():
-    """Three of four φ of one kind and every fourth of another, as synthetic φ are: Student's t misses from below."""
-    rng = np.random.default_rng(8)
-    trials, held, students = 400, 0, 0
-    for _ in range(trials):
-        means = np.where(rng.random((5, 1)) < 0.25, 0.25, 0.0) + rng.normal(0.0, 0.04, size=(5, 1))
-        sample = list(means + rng.normal(0.0, 0.42, size=(5, 100)))
-        for prior in (PREFIXES, None):
-            low, high = clustered_mean(sample, prior=prior).interval
-            inside = low <= 0.0625 <= high
-            held, students = held + (inside and prior is not None), students + (inside and prior is None)
-    error = math.sqrt(0.05 * 0.95 / trials)
-    assert held / trials > 0.93 - 3.0 * error
-    assert students / trials < held / trials - 3.0 * error

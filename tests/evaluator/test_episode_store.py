@@ -173,7 +173,7 @@ def test_the_death_of_its_process_takes_nothing(tmp_path):
     assert read_all(tmp_path, episodes, keys) == list(range(30))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.37, 0.5, 0.83, 0.999])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.999])
 def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
     """A power cut leaves less of the WAL than was written: then the first episodes are there, and no wrong one is."""
     episodes = [episode(trial) for trial in range(30)]

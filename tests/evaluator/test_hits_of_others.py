@@ -19,18 +19,6 @@ STOPPING = {
 }
 
 
-LOOKS_AHEAD = """
-class LooksAhead:
-    def reset(self, scenario, rng):
-        self.front = scenario.car.front
-
-    def command(self, car, scene):
-        assert scene.ego == car and scene.adversary.x < 90.0
-        gap = min((other.y - car.y for other in scene.others), default=90.0) - self.front - 2.0
-        return -6.0 if gap < 3.0 + car.speed**2 / 9.0 else 0.0
-"""
-
-
 def behind(folder: Path) -> None:
     data = copy.deepcopy(load_scenario("crossing").as_dict())
     data["others"] = [STOPPING]
@@ -39,17 +27,6 @@ def behind(folder: Path) -> None:
 
 
 COUNTS = ("--safe-count", "2", "--kamikaze-count", "3", "--collision-runs", "10", "--simulations", "60")
-
-
-def test_a_car_that_looks_at_the_scene_sees_the_car_ahead(tmp_path: Path) -> None:
-    """It does not look at the adversary at all, and yet nothing but the adversary is hit."""
-    behind(tmp_path)
-    (tmp_path / "mine.py").write_text(LOOKS_AHEAD, encoding="utf-8")
-    words = ("--controller", "mine:LooksAhead", "--adversary-model", "generic", "--scenario", "behind.yaml", *COUNTS)
-    done = skd("assess", *words, "--out", "out", cwd=tmp_path, PYTHONPATH=str(tmp_path))
-    assert done.returncode == 0, done.stderr
-    assert "the car ran into others" not in done.stderr
-    assert "do not believe" not in done.stderr
 
 
 def test_a_car_that_brakes_for_the_adversary_alone_runs_into_the_car_ahead(tmp_path: Path) -> None:

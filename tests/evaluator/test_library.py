@@ -57,14 +57,8 @@ class Car:  # it ends its process in one of the few episodes of QUITTED
     def command(self, car, adversary):
         return 0.0
 """
-QUITTED = {
-    "objective": "paper",
-    "safe_count": 1,
-    "kamikaze_count": 1,
-    "collision_runs": 8,
-    "simulations": 20,
-    "adversary_model": "generic",
-}
+QUITTED = {"objective": "paper", "safe_count": 1, "kamikaze_count": 1, "collision_runs": 8, "simulations": 20}
+QUITTED["adversary_model"] = "generic"
 ALONE = {"margin_limit": 0, "behaviour": "none", "workers": 1}
 
 
@@ -78,43 +72,26 @@ def test_a_car_of_which_too_many_episodes_are_aborted_is_not_believed(tmp_path, 
     assert [line for line in stored if line.startswith("not credible: ")] == [
         line for line in found["warnings"] if "were aborted, more than" in line
     ]
-    assert (
-        sum(
-            "1 of 2 kamikazes of objective paper was aborted and counts for nothing" in one for one in found["warnings"]
-        )
-        == 1
-    )
+    (line,) = [one for one in found["warnings"] if one.startswith("1 of 2 kamikazes of objective paper")]
+    assert "was aborted and counts for nothing" in line
     with warnings.catch_warnings(record=True) as said:
         allowed = assess("quitter:Car", max_aborted=100, **QUITTED, **ALONE)
     assert not any("were aborted, more than" in str(one) for one in [*said, *allowed.warnings])
 
 
 THREADS = """
-import sys, threading
+import threading
 from skd_evaluator import assess
 
 OPTIONS = dict(safe_count=2, kamikaze_count=1, collision_runs=4, simulations=10, adversary_model="generic", workers=1)
-begun = []
-
-def watch(event, arguments):
-    if event == "os.fork":
-        begun.append("a fork")
-    elif event == "subprocess.Popen":
-        begun.append(str(arguments[1][0]).rpartition("/")[2])
 
 def one():
-    begun.append("an assessment")
     print(assess("honest:Car", margin_limit=8, behaviour="none", **OPTIONS).as_dict()["margin"], flush=True)
 
 if __name__ == "__main__":
-    sys.addaudithook(watch)
     threads = [threading.Thread(target=one) for _ in range(2)]
     for each in threads:
         each.start()
-        if each is threads[0]:  # what it asks the machine, no later one has to
-            while "a fork" not in begun and each.is_alive():
-                each.join(0.01)
-            print(*begun[: begun.index("a fork") + 1])
     for each in threads:
         each.join()
 """
@@ -135,11 +112,8 @@ def test_two_threads_assess_a_car_of_a_users_own(tmp_path):
     done = subprocess.run(
         [sys.executable, "threads.py"], cwd=tmp_path, capture_output=True, text=True, timeout=180, check=True
     )
-    begun, *margins = done.stdout.splitlines()
-    assert begun.endswith(" a fork")
-    assert {"uname", "git"} <= set(begun.split())
-    assert len(margins) == 2
-    assert float(margins[0]) == float(margins[1]) > 0.0
+    first, second = map(float, done.stdout.splitlines())
+    assert first == second > 0.0
 
 
 def test_that_skd_is_not_defined_is_said(tmp_path):

@@ -21,12 +21,10 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.checks import SAMPLE, driving, repeatability, sample_of
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
-from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import AssessmentError
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.scenario.scenario_file import shipped_scenarios
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.timing import Timing
@@ -150,9 +148,7 @@ class Driven:
     [
         ([0.51 * STARTS] * 5, None, ""),
         ([0.49 * STARTS] + [STARTS] * 4, UNDISTURBED, " in 1 of 5 drives"),
-        ([0.0] * 2 + [STARTS] * 3, UNDISTURBED, " in 2 of 5 drives"),
         ([0.0] * 3 + [STARTS] * 2, NOT_CREDIBLE + UNDISTURBED, " in 3 of 5 drives"),
-        ([1.01 * LIMIT] * 5, UNDISTURBED, " in 5 of 5 drives"),
         ([0.99 * LIMIT] * 5, NOT_CREDIBLE + UNDISTURBED, " in 5 of 5 drives"),
         ([STARTS] * 4 + [math.nan], NOT_CREDIBLE + UNDISTURBED, "failed: controller ended"),
     ],
@@ -163,17 +159,6 @@ def test_when_a_car_hardly_drives(speeds: list[float], begins: str | None, often
     for line in lines:
         assert line.startswith(f"{begins}a.b:C ")
         assert often in line
-
-
-@pytest.mark.parametrize("name", shipped_scenarios())
-def test_cars_that_avoid_people_drive_undisturbed_in_every_scenario(name: str) -> None:
-    plan = replace(PLAN, scenario=load_scenario(name), multiplier=2.0)
-    for car in ("basic", "carla"):
-        runner = Runner(make_controller(car, 2.0))
-        assert driving(plan, runner) == ()
-        for log in runner.logs:
-            assert log.episode.scenario.others == log.episode.public_scenario.others == ()
-            assert np.hypot(*(log.adversary - log.car[:, :2]).T).min() > 1000.0
 
 
 def run(speeds: list[float], away: float, scenario: Scenario = CROSSING, outcome: Outcome = Outcome.MISSED):
@@ -193,7 +178,6 @@ FAR = STARTS * (0.5 * STARTS / 2.0) + 5.0
 @pytest.mark.parametrize(
     ("log", "found"),
     [
-        (run([0.0, 0.0, 0.0], FAR + 0.1), True),  # never drives
         (run([STARTS, 4.0, 0.0], FAR + 0.1), True),
         (run([STARTS, 4.0, 0.0], FAR - 0.1), False),  # the adversary may have made it stop
         (run([STARTS, LIMIT, LIMIT], FAR + 0.1), False),  # a hit begins at this speed

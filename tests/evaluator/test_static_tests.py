@@ -7,10 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.stages.static_tests import without_noise
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.protocol import regulatory_trajectories
-from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.scenario.scenario import Scenario, changed_scenario
 from skd_sim.world.state import AdversaryState, CarState
 from static_support import StaticRun, static_tests
 
@@ -207,27 +206,3 @@ def test_a_target_that_brakes_is_met_where_two_parabolas_meet(name: str) -> None
                         speed - 4.0 * min(max(0.0, at - begins), speed / 4.0), abs=0.1
                     )
                     assert one.impact_place == pytest.approx(one.place, abs=1.0)
-
-
-@pytest.mark.parametrize(("name", "start", "distance", "kmh"), [("cpna", 4.0, 1.0, 5), ("cpfa", -6.0, 1.5, 8)])
-def test_a_pedestrian_starts_from_standing_at_the_start_offset(
-    name: str, start: float, distance: float, kmh: float
-) -> None:
-    fine = dataclasses.replace(load_scenario(f"{name}-50"), time_step=0.01)
-    (way,) = regulatory_trajectories(fine)
-    assert way.positions[0].tolist() == [start, 0.0]
-    speeds = np.abs(np.diff(way.positions[:, 0])) / 0.01
-    changes = np.diff(speeds) / 0.01
-    assert speeds.max() == pytest.approx(kmh * KMH)
-    assert changes.max() == pytest.approx((kmh * KMH) ** 2 / (2.0 * distance))
-    gone = np.abs(way.positions[:, 0] - start)
-    assert gone[np.argmax(speeds > kmh * KMH - 1e-9)] == pytest.approx(distance, abs=0.03)
-
-
-@pytest.mark.parametrize("name", [*CROSSING, *ALONG, "ccrb", "cmrb"])
-def test_the_noise_of_a_trial_leaves_the_target_as_it_is(name: str) -> None:
-    scenario = load_scenario(name)
-    for one, other in zip(
-        regulatory_trajectories(scenario), regulatory_trajectories(without_noise(scenario)), strict=True
-    ):
-        assert np.allclose(one.positions, other.positions, atol=1e-12)

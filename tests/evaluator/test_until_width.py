@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -101,20 +100,3 @@ def test_recorded_phi_come_in_an_order_by_chance_and_end(tmp_path) -> None:
 def test_the_bounds_are_pococks(looks, bound):
     """Jennison and Turnbull, Group Sequential Methods (2000), table 2.1, α = 0.05."""
     assert stats.norm.ppf(0.5 + nominal_confidence(looks) / 2.0) == pytest.approx(bound, abs=6e-4)
-
-
-def test_all_looks_at_students_intervals_hold_together():
-    """Batches of 5 φ with normal means: at every of 10 looks at once, for Student's t in the place of the normal."""
-    rng = np.random.default_rng(2)
-    trials, looks, batch = 20_000, 10, 5
-    means = rng.normal(size=(trials, looks * batch))
-    held = {confidence: np.ones(trials, bool) for confidence in (nominal_confidence(looks), 0.95)}
-    for count in range(batch, looks * batch + 1, batch):
-        seen = means[:, :count]
-        score = np.abs(seen.mean(axis=1)) / (seen.std(axis=1, ddof=1) / math.sqrt(count))
-        for confidence, every in held.items():
-            every &= score <= stats.t.ppf(0.5 + confidence / 2.0, count - 1)
-    repeated, naive = (every.mean() for every in held.values())
-    assert repeated > 0.95 - 4.0 * math.sqrt(0.05 * 0.95 / trials)
-    assert repeated < 0.965
-    assert naive < 0.86
