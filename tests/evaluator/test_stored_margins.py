@@ -62,14 +62,14 @@ def test_another_margin_than_that_of_the_ways_is_refused(folders, tmp_path):
     said = read_result(folders[0.5]).figures["margin"]
     with pytest.raises(UsageError, match="not of one assessment"):
         read_result(edited(folders[0.5], tmp_path / "more", margin=said + 1e-6))
-    with pytest.raises(UsageError, match="says no margin"):
+    with pytest.raises(UsageError, match="margin is nothing"):
         read_result(edited(folders[0.5], tmp_path / "none", margin=None))
     without = tmp_path / "without"
     shutil.copytree(folders[0.5], without)
     with np.load(without / "episodes.npz") as arrays:
         kept = {name: arrays[name] for name in arrays.files if not name.startswith("margin")}
     np.savez_compressed(without / "episodes.npz", **kept)
-    with pytest.raises(UsageError, match="give no margin"):
+    with pytest.raises(UsageError, match="its episodes give nothing"):
         read_result(without)
 
 

@@ -25,15 +25,13 @@ from skd_evaluator.assessment.figure_table import figures_html
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, write_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged, write_json
-from skd_evaluator.assessment.files.verification import stored_risks
+from skd_evaluator.assessment.files.verification import differences, stored_risks
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.risks import Risks, Touch
 from skd_evaluator.metrics.skd import prefix_distances
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.metrics.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 from skd_evaluator.version import version
-
-_ROUNDING = 1e-9  # m, for each of η_max, but at least for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,12 +175,15 @@ def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[st
     with understood(folder / ASSESSMENT):
         scenario_from_dict(figures["scenario"], str(folder / ASSESSMENT))
         eta_max, count = float(figures["eta_max"]), len(figures["per_safe_trajectory"])
-        trials = stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
-        curve, margins = vulnerability_curve(trials, eta_max), stored.margins(eta_max)
-        found = None if margins is None else mean(np.concatenate(margins))
-        _check_same(folder, "margin", found, figures["margin"], eta_max)
-        found = None if curve is None else curve.area_above
-        _check_same(folder, "mean deviation", found, figures["deviation"], eta_max)
+        curve = vulnerability_curve(stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"])), eta_max)
+        margins = stored.margins(eta_max)
+        found = {
+            "margin": None if margins is None else mean(np.concatenate(margins)),
+            "deviation": None if curve is None else curve.area_above,
+        }
+        for name, value in found.items():
+            for line in differences(name, figures[name], value):
+                raise UsageError(f"{folder}: {line}: they are not of one assessment")
     if count != len(stored.safe):
         raise UsageError(f"{folder / ASSESSMENT}: is of {count} φ, and {EPISODES} beside it of {len(stored.safe)}")
     remark = f"{folder}: has no {MANIFEST}: that a file was changed cannot be told"
@@ -244,24 +245,6 @@ def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:
             hits = np.where(one.touches == Touch.ABORTED, int(Touch.FRONT), one.touches)
             found[f"risk_{one.scale:g}"] = replace(one, touches=hits).groups
     return found
-
-
-def _check_same(folder: Path, name: str, found: float | None, stated: Any, eta_max: float) -> None:
-    """Refuse a figure that is another one in assessment.json than by the trajectories beside it.
-
-    Raises:
-        UsageError: it is so.
-    """
-    if found is None or stated is None:
-        same = found is stated
-    else:
-        same = abs(found - float(stated)) <= _ROUNDING * max(1.0, eta_max)
-    if not same:
-        first, second = (f"no {name}" if one is None else f"a {name} of {float(one):.6f} m" for one in (found, stated))
-        raise UsageError(
-            f"{folder}: its trajectories give {first}, and assessment.json says {second}: they are not of one "
-            "assessment"
-        )
 
 
 def _distances(

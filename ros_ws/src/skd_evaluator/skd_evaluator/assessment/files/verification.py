@@ -274,20 +274,20 @@ def _compared(figures: Mapping[str, Any], found: dict[str, Any]) -> tuple[tuple[
     agree, contradict = [], []
     for name in dict.fromkeys((*figures, *found)):
         if _follows(name.partition("_ci95")[0]):
-            differences = [*_differences(name, figures.get(name), found.get(name))]
-            contradict += differences
-            agree += [] if differences else [name]
+            said = [*differences(name, figures.get(name), found.get(name))]
+            contradict += said
+            agree += [] if said else [name]
     return tuple(agree), tuple(contradict)
 
 
-def _differences(name: str, said: Any, found: Any) -> Iterator[str]:
+def differences(name: str, said: Any, found: Any) -> Iterator[str]:
     """Yield, a line each, where two values of JSON differ by more than rounding."""
     if isinstance(said, Mapping) and isinstance(found, Mapping):
         for key in dict.fromkeys((*said, *found)):
-            yield from _differences(f"{name}.{key}", said.get(key), found.get(key))
+            yield from differences(f"{name}.{key}", said.get(key), found.get(key))
     elif isinstance(said, list) and isinstance(found, list) and len(said) == len(found):
         for place, (one, other) in enumerate(zip(said, found, strict=True)):
-            yield from _differences(f"{name}.{place}", one, other)
+            yield from differences(f"{name}.{place}", one, other)
     elif not _alike(said, found):
         yield f"{name} is {_shown(said)}, its episodes give {_shown(found)}"
 
