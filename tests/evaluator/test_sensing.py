@@ -89,19 +89,8 @@ def test_the_command_line_says_so_before_any_work(command, tmp_path: Path, capsy
     data = {key: value for key, value in CROSSING.as_dict().items() if key != "sensor"}
     file = tmp_path / "bare.yaml"
     file.write_text(yaml.safe_dump(data), encoding="utf-8")
-    code = main(
-        [
-            *command,
-            "--adversary-model",
-            "nothing",
-            "--controller",
-            "cal",
-            "--scenario",
-            str(file),
-            "--out",
-            str(tmp_path / "out"),
-        ]
-    )
+    words = ["--adversary-model", "generic", "--controller", "cal", "--scenario", str(file)]
+    code = main([*command, *words, "--out", str(tmp_path / "out")])
     assert code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "controller cal needs a laser scan, and scenario crossing has none" in line
