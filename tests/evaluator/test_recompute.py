@@ -169,22 +169,7 @@ def test_the_scripts_give_every_figure(results, recomputed):
         else:
             assert again == pytest.approx(value, rel=1e-8, abs=1e-10), name
             compared.add(re.sub(r"\.\d+\.", ".", name))
-    for figure in (
-        "margin", "margin_ci95", "optimality_gap", "optimality_gap_ci95", "nominal_collision_rate",
-        "nominal_collision_rate_ci95",
-        "impact_speed.p90", "risk_1", "risk_2_ci95", "risk_3_ci95_runs", "risk.scales.standing",
-        "skd", "skd_ci95", "deviation_ci95", "deviation_ci95_trials",
-        "measures.warped.ci95", "measures.required_deceleration_at_entry.ci95", "clustering.skd.variance_between",
-        "clustering.contact_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
-        "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
-        "objectives.paper.probability_bound_ci95.1",
-        "per_safe_trajectory.contact_rate", "deviation_success_rate_ci95_trials",
-        "surrogate_measures.along_phi.clearance.median", "surrogate_measures.along_phi.post_encroachment_time.median",
-        "surrogate_measures.kamikazes.paper.fatality_risk.worst",
-        "kamikaze_success_rate_ci95", "mean_impact_speed", "mean_closing_speed", "objectives.paper.standing_contacts",
-    ):  # fmt: skip
-        assert figure in compared or said["maximum_distance"], figure
-    assert len(compared) > 100
+    assert len(compared) > 300
 
 
 def test_the_columns_give_what_is_counted(results):
