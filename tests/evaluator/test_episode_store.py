@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
-import struct
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -53,18 +52,8 @@ def log_of(one: EpisodeSpec, rows: int = 3) -> EpisodeLog:
 
 
 def bits(log: EpisodeLog) -> list[bytes | str]:
-    numbers = (log.impact_time, log.impact_speed, log.timing.delay, *log.timing.ages)
-    whole = (log.outcome, log.depletions, log.clipped, log.timing.held, log.adversary.shape, log.car.shape)
-    return [
-        log.adversary.tobytes(),
-        log.car.tobytes(),
-        "nothing believed" if log.belief is None else log.belief.tobytes(),
-        "nothing said" if log.own_contact is None else struct.pack("<d", log.own_contact),
-        struct.pack("<d", log.strayed),
-        struct.pack(f"<{len(numbers)}d", *numbers),
-        repr(whole),
-        log.reason,
-    ]
+    values = [getattr(log, one.name) for one in dataclasses.fields(log) if one.name != "episode"]
+    return [one.tobytes() if isinstance(one, np.ndarray) else repr(one) for one in values]
 
 
 @given(

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -80,18 +82,17 @@ def digest_of_trajectory(one: Trajectory) -> bytes:
     return digest(positions.tobytes(), repr((positions.shape, float(one.time_step), one.name)).encode())
 
 
+_TABLES = ("adversary", "car", "belief")
+_PLAIN = tuple(one.name for one in fields(EpisodeLog) if one.name not in ("episode", *_TABLES))
+
+
 def to_bytes(log: EpisodeLog) -> bytes:
     """Return what happened in an episode; its specification is not part of it."""
-    timing, states = log.timing, len(log.adversary)
-    head = json.dumps([
-        int(log.outcome), log.depletions, log.reason, log.clipped, timing.held, len(timing.ages), states,
-        log.belief is not None, log.own_contact is not None,
-    ]).encode()  # fmt: skip
-    own = 0.0 if log.own_contact is None else log.own_contact
-    single = (log.impact_time, log.impact_speed, timing.delay, own, log.strayed)
-    tables = [log.adversary, log.car, *([] if log.belief is None else [log.belief])]
-    numbers = np.concatenate([single, timing.ages, *(table.ravel() for table in tables)])
-    return len(head).to_bytes(4, "little") + head + numbers.astype("<f8").tobytes()
+    tables = {name: table for name in _TABLES if (table := getattr(log, name)) is not None}
+    shapes = {name: table.shape for name, table in tables.items()}
+    head = json.dumps([shapes, {name: getattr(log, name) for name in _PLAIN}]).encode()
+    numbers = [np.asarray(table, "<f8").tobytes() for table in tables.values()]
+    return b"".join((len(head).to_bytes(4, "little"), head, *numbers))
 
 
 def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
@@ -101,29 +102,18 @@ def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
         ValueError: it is none.
     """
     begin = 4 + int.from_bytes(data[:4], "little")
-    outcome, depletions, reason, clipped, held, ages, states, believed, said = json.loads(data[4:begin])
+    shapes, found = json.loads(data[4:begin])
     numbers = np.frombuffer(data, "<f8", offset=begin).astype(np.float64)
-    single, aged, adversary, car, belief = np.split(numbers, np.cumsum([5, ages, 2 * states, 4 * states]))
-    time, speed, delay, own, strayed = single.tolist()
+    parts = np.split(numbers, np.cumsum([math.prod(shape) for shape in shapes.values()])[:-1])
+    found |= {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+    ages, held, delay = found["timing"]
     return EpisodeLog(
-        episode,
-        Outcome(outcome),
-        adversary.reshape(states, 2),
-        car.reshape(states, 4),
-        time,
-        speed,
-        depletions,
-        reason,
-        clipped,
-        Timing(tuple(aged.tolist()), held, delay),
-        belief.reshape(states, 4) if believed else None,
-        own if said else None,
-        strayed,
+        episode, **found | {"outcome": Outcome(found["outcome"]), "timing": Timing(tuple(ages), held, delay)}
     )
 
 
 FILE_NAME = "episodes.sqlite"
-_FORMAT = 2
+_FORMAT = 3
 _AT_ONCE = 500  # keys in one query
 _TABLE = """
 CREATE TABLE episodes (
