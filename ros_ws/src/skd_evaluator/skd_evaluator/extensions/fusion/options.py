@@ -42,14 +42,22 @@ def add_fuse(commands: Any) -> None:
     planning.add_argument("--figure", choices=FUSED, default="margin", help=text)
     text = "how well the simulator is expected to predict from φ to φ (default: as an earlier fusion found)"
     planning.add_argument("--correlation", type=real_number(0.0, 0.999), metavar="R", help=text)
-    recordings = _add_recordings(fuse)
+    recordings = fuse.add_argument_group("recordings")
+    text = "the car in bags: topic, /tf:FRAME or TOPIC:ID, or its id in tables (default: /ego/odometry, car)"
+    recordings.add_argument("--car", metavar="NAME", help=text)
+    text = "the road user, named as --car (default: /adversary/odometry, other)"
+    recordings.add_argument("--road-user", metavar="NAME", help=text)
+    text, origin = "origin (m) and direction of the scenario's frame map in that of the recordings", (0.0, 0.0, 0.0)
     recordings.add_argument(
-        "--gap-tolerance",
-        type=real_number(0.0, 20.0, above=True),
-        default=0.5,
-        metavar="M",
-        help="greatest difference of the car's start in a physical and a simulated trial of one timing (default: 0.5)",
+        "--frame", type=frame_place, default=origin, metavar="X,Y,DEGREES", help=f"{text} (default: 0,0,0)"
     )
+    text = "how far ahead of the car's reference point in the scenario its tracked point is, m (default: 0)"
+    recordings.add_argument("--reference", type=real_number(-20.0, 20.0), default=0.0, metavar="M", help=text)
+    text = "how far the tracked road user may be off its φ; a trial beyond is refused (default: 0.5)"
+    tolerance = {"default": 0.5, "metavar": "M"}
+    recordings.add_argument("--path-tolerance", type=real_number(0.0, 5.0, above=True), **tolerance, help=text)
+    text = "greatest difference of the car's start in a physical and a simulated trial of one timing (default: 0.5)"
+    recordings.add_argument("--gap-tolerance", type=real_number(0.0, 20.0, above=True), **tolerance, help=text)
     calibration = fuse.add_argument_group("calibration")
     text = "estimate delay and deceleration of the brake, friction and sensor range of the simulator instead"
     module = "skd_evaluator.extensions.fusion.calibrate_command"
@@ -59,40 +67,3 @@ def add_fuse(commands: Any) -> None:
     add_workers_argument(calibration)
     add_output_arguments(fuse)
     fuse.set_defaults(module="skd_evaluator.extensions.fusion.fuse_command")
-
-
-def _add_recordings(parser: Any) -> Any:
-    """Add how recordings of physical trials are read, and return the group."""
-    recordings = parser.add_argument_group("recordings")
-    recordings.add_argument(
-        "--car",
-        metavar="NAME",
-        help="the car in bags: topic, /tf:FRAME or TOPIC:ID, or its id in tables (default: /ego/odometry, car)",
-    )
-    recordings.add_argument(
-        "--road-user",
-        metavar="NAME",
-        help="the road user, named as --car (default: /adversary/odometry, other)",
-    )
-    recordings.add_argument(
-        "--frame",
-        type=frame_place,
-        default=(0.0, 0.0, 0.0),
-        metavar="X,Y,DEGREES",
-        help="origin (m) and direction of the scenario's frame map in that of the recordings (default: 0,0,0)",
-    )
-    recordings.add_argument(
-        "--reference",
-        type=real_number(-20.0, 20.0),
-        default=0.0,
-        metavar="M",
-        help="how far ahead of the car's reference point in the scenario its tracked point is, m (default: 0)",
-    )
-    recordings.add_argument(
-        "--path-tolerance",
-        type=real_number(0.0, 5.0, above=True),
-        default=0.5,
-        metavar="M",
-        help="how far the tracked road user may be off its φ; a trial beyond is refused (default: 0.5)",
-    )
-    return recordings
