@@ -95,7 +95,7 @@ def asked(x: FloatArray, groups: list[FloatArray], figure: TrialFigure, confiden
     predicted = np.repeat(x[:count], [len(one) for one in groups])
     means = np.array([one.mean() for one in groups])
     names = tuple(map(str, range(count)))
-    pairs = Pairs(names, tuple(groups), means, x[:count], x, every, predicted, True)
+    pairs = Pairs(names, tuple(groups), means, x[:count], x, every, predicted, True, x)
     try:
         return fused_figure(figure, pairs, confidence)
     except UsageError:

@@ -185,7 +185,7 @@ def test_intervals_at_all_looks_hold_together():
 
 def _holds(y: np.ndarray, x: np.ndarray, every: np.ndarray, confidence: float) -> bool:
     groups = tuple(y[index : index + 1] for index in range(y.size))
-    pairs = Pairs(tuple(map(str, range(y.size))), groups, y, x, every, y, x, True)
+    pairs = Pairs(tuple(map(str, range(y.size))), groups, y, x, every, y, x, True, every)
     try:
         low, high = fused_figure(FIGURES["clearance"], pairs, confidence).stands.interval
     except NotSaidError:
@@ -275,7 +275,7 @@ def test_intervals_of_skewed_figures_hold_at_ten_trials():
     for _ in range(200):
         x, other = rng.exponential(size=(2, 1000)) - 1.0
         y = (0.3 * x + math.sqrt(0.91) * other)[:10]
-        pairs = Pairs(tuple(map(str, range(10))), tuple(y[:, None]), y, x[:10], x, y, x[:10], True)
+        pairs = Pairs(tuple(map(str, range(10))), tuple(y[:, None]), y, x[:10], x, y, x[:10], True, x)
         try:
             low, high = fused_figure(FIGURES["margin"], pairs, 0.95).stands.interval
         except NotSaidError:

@@ -8,7 +8,7 @@ libraries, the optional extra `exchange`, are imported when OSI is asked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -25,21 +25,8 @@ from skd_evaluator.bags.tracks import Listed, Track, listed, track_or_why
 from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, lanes_of
 
 
-def osi_messages() -> Any:
-    """Return the module with the class GroundTruth.
-
-    Raises:
-        UsageError: the library is not installed.
-    """
-    return _found("osi3.osi_groundtruth_pb2")
-
-
-def osi_version() -> tuple[int, int, int]:
-    """Return the version of OSI that its messages are of.
-
-    Raises:
-        UsageError: the library is not installed.
-    """
+def _version() -> tuple[int, int, int]:
+    """Return the version of OSI that its messages are of."""
     module = _found("osi3.osi_version_pb2")
     said = module.DESCRIPTOR.GetOptions().Extensions[module.current_interface_version]
     return int(said.version_major), int(said.version_minor), int(said.version_patch)
@@ -54,9 +41,13 @@ def osi_writer() -> Any:
     return _found("osi_utilities.tracefile.writers.multi").MultiTraceWriter
 
 
-def protobuf_version() -> str:
+def _protobuf() -> str:
     """Return the version of protobuf that messages are written with."""
     return str(_found("google.protobuf").__version__)
+
+
+def _ground_truth() -> Any:
+    return _found("osi3.osi_groundtruth_pb2").GroundTruth
 
 
 def _found(name: str) -> Any:
@@ -83,7 +74,7 @@ def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
         UsageError: the library is not installed, a message is none of ground truth, or several topics have some, whose
             ids need not be of the same objects.
     """
-    osi_messages()
+    _ground_truth()  # that its libraries are there
     damage = damage or Damage()
     rows: dict[int, list[tuple[float, float, float]]] = {}
     roles: dict[int, str] = {}
@@ -94,7 +85,9 @@ def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
             number = int(one.id.value)
             rows.setdefault(number, []).append((time, one.base.position.x, one.base.position.y))
             if number not in roles:
-                roles[number] = _role(one) or (EGO if message.host_vehicle_id.value == number else str(number))
+                roles[number] = "".join(_said(one)[:1]) or (
+                    EGO if message.host_vehicle_id.value == number else str(number)
+                )
                 kinds[number] = _kind(one)
     if not rows:
         raise UsageError(f"{path}: has no moving object in ground truth of OSI")
@@ -121,7 +114,7 @@ def _of_mcap(path: Path, damage: Damage) -> Iterator[Any]:
             topics[received.topic] = None
             if len(topics) > 1:
                 raise UsageError(f"{path}: has ground truth on {listed(topics)}; give a file with one of them")
-            yield _parsed(osi_messages().GroundTruth, received.data, path)
+            yield _parsed(_ground_truth(), received.data, path)
     for what in condition.damage:
         damage.leave_out(f"{path}: {what}; what is whole of it is read")
 
@@ -129,7 +122,7 @@ def _of_mcap(path: Path, damage: Damage) -> Iterator[Any]:
 def _trace(path: Path, damage: Damage) -> Iterator[Any]:
     """Yield the ground truth of a trace: of its messages, or by its name of the sensor views in it."""
     of_views = "_sv_" in path.name
-    kind = _found("osi3.osi_sensorview_pb2").SensorView if of_views else osi_messages().GroundTruth
+    kind = _found("osi3.osi_sensorview_pb2").SensorView if of_views else _ground_truth()
     with open_regular(path) as stream:
         while prefix := stream.read(4):
             length = int.from_bytes(prefix, "little")
@@ -152,18 +145,14 @@ def _parsed(kind: Any, data: bytes, path: Path) -> Any:
     return message
 
 
-def _role(found: Any) -> str:
-    """Return what SKD has called an object; empty if it has not."""
-    for one in found.source_reference:
-        if one.type == SOURCE and len(one.identifier):
-            return str(one.identifier[0])
-    return ""
+def _said(found: Any) -> list[str]:
+    """Return what SKD has called an object, and its kind; empty if it has not."""
+    return next((list(map(str, one.identifier)) for one in found.source_reference if one.type == SOURCE), [])
 
 
 def _kind(found: Any) -> str:
-    for one in found.source_reference:
-        if one.type == SOURCE and len(one.identifier) > 1:
-            return str(one.identifier[1])
+    if len(said := _said(found)) > 1:
+        return said[1]
     if found.type == found.TYPE_VEHICLE:
         return str(found.vehicle_classification.Type.Name(found.vehicle_classification.type))
     return str(found.Type.Name(found.type))
@@ -178,7 +167,7 @@ _FIRST_LANE, _FIRST_BOUNDARY = 10_001, 11_001
 def osi_name(recorded: ExportedEpisode) -> str:
     """Return the name of an episode's file, as the standard recommends it."""
     stamp = "".join(one for one in recorded.date.partition("+")[0].rstrip("Z") if one.isalnum()) + "Z"
-    versions = "".join(map(str, osi_version())), protobuf_version().replace(".", "")
+    versions = "".join(map(str, _version())), _protobuf().replace(".", "")
     frames = max(len(one.times) for one in recorded.actors)
     return f"{stamp}_gt_{versions[0]}_{versions[1]}_{frames}_{recorded.stem}.mcap"
 
@@ -189,7 +178,7 @@ def write_osi(path: Path, recorded: ExportedEpisode) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    version, protobuf = ".".join(map(str, osi_version())), protobuf_version()
+    version, protobuf = ".".join(map(str, _version())), _protobuf()
     about = {
         "version": version,
         "min_osi_version": version,
@@ -222,9 +211,9 @@ def write_osi(path: Path, recorded: ExportedEpisode) -> None:
 
 def ground_truth(recorded: ExportedEpisode) -> list[Any]:
     """Return the messages of an episode, in the order of their times."""
-    kind = osi_messages().GroundTruth
+    kind = _ground_truth()
     standing = kind()
-    standing.version.version_major, standing.version.version_minor, standing.version.version_patch = osi_version()
+    standing.version.version_major, standing.version.version_minor, standing.version.version_patch = _version()
     standing.map_reference = ROAD_FILE
     if recorded.ego is not None:
         standing.host_vehicle_id.value = EGO_ID
@@ -273,33 +262,33 @@ def _add_user(message: Any, actor: Actor, state: FloatArray, motion: FloatArray)
     found.id.value = actor.number
     x, y, heading = state.tolist()
     _set_base(found.base, actor, x, y, heading)
-    for vector, (east, north) in (
-        (found.base.velocity, motion[:2].tolist()),
-        (found.base.acceleration, motion[2:4].tolist()),
-    ):
-        vector.x, vector.y, vector.z = east, north, 0.0
-    turn = found.base.orientation_rate
-    turn.roll, turn.pitch, turn.yaw = 0.0, 0.0, float(motion[4])
+    _set(found.base.velocity, *motion[:2].tolist(), 0.0)
+    _set(found.base.acceleration, *motion[2:4].tolist(), 0.0)
+    _set(found.base.orientation_rate, 0.0, 0.0, float(motion[4]), names=_TURNS)
     word = actor.word(_FORMAT)
     if word == _ON_FOOT:
         found.type = found.TYPE_PEDESTRIAN
     else:
-        found.type = found.TYPE_VEHICLE
-        vehicle = found.vehicle_classification
-        vehicle.type = vehicle.Type.Value(word)
-        wheel, (length, _, height) = 0.3, actor.size
-        rear = found.vehicle_attributes.bbcenter_to_rear
-        rear.x, rear.y, rear.z = -0.3 * length, 0.0, wheel - 0.5 * height
+        found.type, wheel, (length, _, height) = found.TYPE_VEHICLE, 0.3, actor.size
+        found.vehicle_classification.type = found.vehicle_classification.Type.Value(word)
+        _set(found.vehicle_attributes.bbcenter_to_rear, -0.3 * length, 0.0, wheel - 0.5 * height)
         found.vehicle_attributes.radius_wheel = wheel
     _say_role(found, actor)
 
 
+_TURNS = "roll", "pitch", "yaw"
+
+
+def _set(vector: Any, *values: float, names: Sequence[str] = "xyz") -> None:
+    """Set the fields of a vector."""
+    for name, value in zip(names, values, strict=True):
+        setattr(vector, name, value)
+
+
 def _set_base(base: Any, actor: Actor, x: float, y: float, heading: float) -> None:
-    length, width, height = actor.size
-    base.dimension.length, base.dimension.width, base.dimension.height = length, width, height
-    base.position.x, base.position.y, base.position.z = float(x), float(y), 0.5 * height
-    turned = base.orientation
-    turned.roll, turned.pitch, turned.yaw = 0.0, 0.0, math.remainder(heading, math.tau)
+    _set(base.dimension, *actor.size, names=("length", "width", "height"))
+    _set(base.position, x, y, 0.5 * actor.size[2])
+    _set(base.orientation, 0.0, 0.0, math.remainder(heading, math.tau), names=_TURNS)
 
 
 def _say_role(found: Any, actor: Actor) -> None:
@@ -330,8 +319,7 @@ def _add_lanes(message: Any, recorded: ExportedEpisode) -> None:
             boundary.classification.type = boundary.classification.TYPE_SOLID_LINE
             boundary.classification.color = boundary.classification.COLOR_WHITE
             for x, y in edge.tolist():
-                point = boundary.boundary_line.add().position
-                point.x, point.y, point.z = x, y, 0.0
+                _set(boundary.boundary_line.add().position, x, y, 0.0)
         adjacent = said.left_adjacent_lane_id, said.right_adjacent_lane_id
         for other, those in zip(lane.beside, adjacent, strict=True):
             if other is not None:

@@ -183,18 +183,17 @@ def _checked_trial(trial: PhysicalTrial) -> PhysicalTrial:
 
 def _check_once(known: dict[Path, PhysicalTrial], file: Path, trial: PhysicalTrial) -> None:
     """Refuse a recording that was there before, by its file or, of a copy, by its tracks: it would count twice."""
-    before = known.get(file) or next((one for one in known.values() if _is_same_drive(one, trial)), None)
+
+    def is_same(other: PhysicalTrial) -> bool:  # one of the recordings may end earlier
+        if trial.track is None or other.track is None:
+            return False
+        count = min(len(trial.track), len(other.track))
+        return bool(np.abs(trial.track[:count] - other.track[:count]).max() < _SAME)
+
+    before = known.get(file) or next(filter(is_same, known.values()), None)
     if before is not None:
         raise UsageError(f"{trial.where}: is the recording of {before.where} once more; give each trial its own")
     known[file] = trial
-
-
-def _is_same_drive(one: PhysicalTrial, other: PhysicalTrial) -> bool:
-    """Return whether two trials are of one drive; one of the recordings may end earlier."""
-    if one.track is None or other.track is None:
-        return False
-    count = min(len(one.track), len(other.track))
-    return bool(np.abs(one.track[:count] - other.track[:count]).max() < _SAME)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,10 +247,8 @@ def read_simulated(path: Path) -> Simulated:
 
 
 def _by_phi(trials: Sequence[PhysicalTrial]) -> dict[str, list[PhysicalTrial]]:
-    found: dict[str, list[PhysicalTrial]] = {}
-    for one in trials:
-        found.setdefault(one.phi, []).append(one)
-    return found
+    names = dict.fromkeys(one.phi for one in trials)
+    return {name: [one for one in trials if one.phi == name] for name in names}
 
 
 def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> list[PhysicalTrial]:
@@ -262,11 +259,8 @@ def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> 
         values = figures_of(scene_of(scenario, *course), hit=bool(stored.hit[number]))
         if stored.collided[number]:
             values["clearance"] = 0.0
-        found.append(
-            PhysicalTrial(
-                name, values, gap_to_crossing(scenario, course.car[0]), f"episode {int(stored.episode_id[number])}"
-            )
-        )
+        where, gap = f"episode {int(stored.episode_id[number])}", gap_to_crossing(scenario, course.car[0])
+        found.append(PhysicalTrial(name, values, gap, where))
     return found
 
 
@@ -287,8 +281,7 @@ class Pairs:
         trials: physical figures in the order of the trials, k.
         predicted: what the simulator says of each of these trials, k.
         timed: whether the timing of every physical trial is known.
-        runs: simulated figures of every run of every φ, each with a timing of its own as a physical trial has one; they
-            show the figure's shape. None: the same as those of every φ.
+        shape: simulated figures of every run of every φ, each with a timing of its own, as a physical trial has one.
     """
 
     names: tuple[str, ...]
@@ -299,12 +292,7 @@ class Pairs:
     trials: FloatArray
     predicted: FloatArray
     timed: bool
-    runs: FloatArray | None = None
-
-    @property
-    def shape(self) -> FloatArray:
-        """Simulated figures that are skewed as single trials are."""
-        return self.population if self.runs is None else self.runs
+    shape: FloatArray
 
 
 def paired(
@@ -331,23 +319,28 @@ def paired(
     key = figure.key
     every = {name: [one for one in trials if key in one.values] for name, trials in simulated.items()}
     every = {name: trials for name, trials in every.items() if trials}
-    having = [one for one in physical if key in one.values]
-    if not having or not every:
+    lacking = [one for one in physical if key not in one.values]
+    if len(lacking) == len(physical) or not every:
         return None
-    if len(having) < len(physical):
-        lacking = next(one for one in physical if key not in one.values)
-        raise UsageError(f"{lacking.where}: has no {key}, which other trials have: give it for all trials or for none")
+    if lacking:
+        raise UsageError(f"{lacking[0].where}: has no {key}, which other trials have: give it for all or for none")
     predicted = np.array([_predicted(key, one, every, tolerance) for one in physical])
     values = np.array([one.values[key] for one in physical])
     names = tuple(dict.fromkeys(one.phi for one in physical))
-    of = np.array([names.index(one.phi) for one in physical])
-    groups = tuple(values[of == index] for index in range(len(names)))
-    means = np.array([group.mean() for group in groups])
-    said = np.array([predicted[of == index].mean() for index in range(len(names))])
-    population = np.array([np.mean([one.values[key] for one in trials]) for trials in every.values()])
-    timed = all(one.gap is not None for one in physical)
-    runs = np.array([one.values[key] for trials in every.values() for one in trials])
-    return Pairs(names, groups, means, said, population, values, predicted, timed, runs)
+    rows = [[index for index, one in enumerate(physical) if one.phi == name] for name in names]
+    groups = tuple(values[one] for one in rows)
+    runs = [np.array([one.values[key] for one in trials]) for trials in every.values()]
+    return Pairs(
+        names,
+        groups,
+        np.array([group.mean() for group in groups]),
+        np.array([predicted[one].mean() for one in rows]),
+        np.array([np.mean(one) for one in runs]),
+        values,
+        predicted,
+        all(one.gap is not None for one in physical),
+        np.concatenate(runs),
+    )
 
 
 def _predicted(key: str, trial: PhysicalTrial, every: Mapping[str, Sequence[PhysicalTrial]], tolerance: float) -> float:
