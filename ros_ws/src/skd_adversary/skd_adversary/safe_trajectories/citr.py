@@ -12,7 +12,7 @@ The paper calls the scenario "Lateral Interaction (Unilateral)".
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -28,7 +28,6 @@ from skd_sim.world.state import Trajectory
 from skd_adversary.crossing.road_users import PEDESTRIAN
 from skd_adversary.safe_trajectories.recordings import (
     LONGEST_HOLE,
-    Table,
     check_motion,
     check_once,
     in_car_frame,
@@ -61,47 +60,34 @@ _OFF_STATED: Final = 0.35, 0.5
 0.36 off, the cart's filter being slow."""
 
 
-@dataclass(frozen=True, eq=False)
-class PedestrianTrack:
-    """One pedestrian as recorded, in the dataset's frame.
+class ClipTrack(NamedTuple):
+    """A pedestrian or the cart as recorded, in the dataset's frame.
 
     Attributes:
-        id: number of the pedestrian within its clip.
+        id: its number within the clip.
         frames: n frame numbers, strictly increasing, at FRAME_RATE per second.
-        positions: n × 2, m.
-        velocities: n × 2, m/s.
+        positions: n × 2, of its centre, m.
+        headings: n, rad, counter-clockwise from x; 0 of pedestrians, who are discs.
     """
 
     id: int
     frames: IntArray
     positions: FloatArray
-    velocities: FloatArray
-
-    @property
-    def duration(self) -> float:
-        """From the first to the last frame, s."""
-        return float(self.frames[-1] - self.frames[0]) / FRAME_RATE
+    headings: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Clip:
+class Clip(NamedTuple):
     """One recording, in the dataset's frame.
 
     Attributes:
         name: name of the files, without suffix and without `unidirection_`.
-        frames: n frame numbers of the cart, strictly increasing, at FRAME_RATE per second.
-        positions: n × 2, the cart's centre, m.
-        headings: n headings of the cart, rad, counter-clockwise from x.
-        speeds: n speeds of the cart, m/s.
+        cart: the vehicle.
         tracks: the pedestrians, by id.
     """
 
     name: str
-    frames: IntArray
-    positions: FloatArray
-    headings: FloatArray
-    speeds: FloatArray
-    tracks: tuple[PedestrianTrack, ...]
+    cart: ClipTrack
+    tracks: list[ClipTrack]
 
 
 class Selection(NamedTuple):
@@ -147,49 +133,39 @@ def _by_clip(folder: Path, suffix: str) -> dict[str, Path]:
 
 
 def _read_clip(clip: str, pedestrian_file: Path, vehicle_file: Path) -> Clip:
-    table = read_table(vehicle_file, _VEHICLE_COLUMNS)
-    vehicles = _tracks(table, vehicle_file)
+    vehicles = _tracks(vehicle_file, _VEHICLE_COLUMNS, _OFF_STATED[1])
     if len(vehicles) != 1:
         raise UsageError(f"{vehicle_file}: one vehicle expected, got {len(vehicles)}")
-    cart = next(iter(vehicles.values()))
-    if np.ptp(cart.values[:, 2:4], axis=0).max() < _LEAST_DRIVE:
+    if np.ptp(vehicles[0].positions, axis=0).max() < _LEAST_DRIVE:
         raise UsageError(f"{vehicle_file}: the vehicle does not drive, so there is no driving direction")
-    headings, speeds = cart.values[:, 4], cart.values[:, 5]
-    velocities = np.column_stack([np.cos(headings), np.sin(headings)]) * speeds[:, None]
-    times, share = cart.values[:, 1] / FRAME_RATE, _OFF_STATED[1]
-    check_motion(times, cart.values[:, 2:4], velocities, cart.lines, vehicle_file, share)
-    tracks = _tracks(read_table(pedestrian_file, _PEDESTRIAN_COLUMNS), pedestrian_file)
-    if not tracks:
+    people = _tracks(pedestrian_file, _PEDESTRIAN_COLUMNS, _OFF_STATED[0])
+    if not people:
         raise UsageError(f"{pedestrian_file}: no pedestrian in it")
-    people = []
-    for id_, (values, lines) in sorted(tracks.items()):
-        one = PedestrianTrack(id_, values[:, 1].astype(np.int64), values[:, 2:4], values[:, 4:6])
-        check_motion(one.frames / FRAME_RATE, one.positions, one.velocities, lines, pedestrian_file, _OFF_STATED[0])
-        people.append(one)
-    frames, name = cart.values[:, 1].astype(np.int64), clip.removeprefix(_CLIP_PREFIX)
-    return Clip(name, frames, cart.values[:, 2:4], headings, speeds, tuple(people))
+    return Clip(clip.removeprefix(_CLIP_PREFIX), vehicles[0], people)
 
 
-def _tracks(table: Table, path: Path) -> dict[int, Table]:
-    """Split the rows by id, and check that ids and frames are whole and that each track's frames increase."""
-    for column, name in enumerate(_KEYS):
-        broken = np.flatnonzero(table.values[:, column] % 1.0 != 0.0)
-        if len(broken):
-            value = table.values[broken[0], column]
-            raise UsageError(f"{path}, line {table.lines[broken[0]]}: {name} must be whole, got {value:g}")
-    tracks: dict[int, Table] = {}
-    for id_ in np.unique(table.values[:, 0]):
-        mine = table.values[:, 0] == id_
-        rows = Table(table.values[mine], table.lines[mine])
-        wrong = np.flatnonzero(np.diff(rows.values[:, 1]) <= 0.0)
+def _tracks(path: Path, columns: Mapping[str, float], share: float) -> list[ClipTrack]:
+    """Return the tracks of a file by id; ids and frames are whole, frames increase, velocities are the positions'."""
+    values, lines = read_table(path, columns)
+    for row, column in np.argwhere(values[:, : len(_KEYS)] % 1.0 != 0.0).tolist():
+        name = list(_KEYS)[column]
+        raise UsageError(f"{path}, line {lines[row]}: {name} must be whole, got {values[row, column]:g}")
+    found = []
+    for id_ in np.unique(values[:, 0]).tolist():
+        rows = np.flatnonzero(values[:, 0] == id_)
+        frames, positions, (first, second) = values[rows, 1], values[rows, 2:4], values[rows, 4:].T
+        wrong = np.flatnonzero(np.diff(frames) <= 0.0)
         if len(wrong):
-            line = rows.lines[wrong[0] + 1]
-            raise UsageError(f"{path}, line {line}: frame of id {id_:.0f} must increase strictly")
-        tracks[int(id_)] = rows
-    return tracks
+            raise UsageError(f"{path}, line {lines[rows[wrong[0] + 1]]}: frame of id {id_:.0f} must increase strictly")
+        headings, velocities = np.zeros(len(rows)), values[rows, 4:]
+        if columns is _VEHICLE_COLUMNS:  # heading and speed
+            headings, velocities = first, np.column_stack([np.cos(first), np.sin(first)]) * second[:, None]
+        check_motion(frames / FRAME_RATE, positions, velocities, lines[rows], path, share)
+        found.append(ClipTrack(int(id_), frames.astype(np.int64), positions, headings))
+    return found
 
 
-def world_frame(clip: Clip, track: PedestrianTrack) -> FloatArray:
+def world_frame(clip: Clip, track: ClipTrack) -> FloatArray:
     """Return a recorded walk in the world frame, as the cart's way has it (`in_car_frame`).
 
     Args:
@@ -199,18 +175,19 @@ def world_frame(clip: Clip, track: PedestrianTrack) -> FloatArray:
     Returns:
         n × 2 positions (East, North), m, at the track's frames.
     """
-    return in_car_frame(clip.positions, track.positions).positions
+    return in_car_frame(clip.cart.positions, track.positions).positions
 
 
-def touches_cart(clip: Clip, track: PedestrianTrack, radius: float) -> bool:
+def touches_cart(clip: Clip, track: ClipTrack, radius: float) -> bool:
     """Return whether the pedestrian's disc (radius, m) touched the recorded cart in the frames they share.
 
     Swept between frames, so nothing is missed; where one of them lacks a frame, its neighbours are joined.
     """
-    _, mine, cart = np.intersect1d(track.frames, clip.frames, assume_unique=True, return_indices=True)
+    cart = clip.cart
+    _, mine, theirs = np.intersect1d(track.frames, cart.frames, assume_unique=True, return_indices=True)
     seen = [
-        to_car_frame(*map(float, (*track.positions[i], *clip.positions[j], clip.headings[j])))
-        for i, j in zip(mine, cart, strict=True)
+        to_car_frame(*map(float, (*track.positions[i], *cart.positions[j], cart.headings[j])))
+        for i, j in zip(mine, theirs, strict=True)
     ]
     return any(
         math.isfinite(first_contact(*before, *after, CART_FRONT, CART_REAR, CART_HALF_WIDTH, radius))
@@ -244,7 +221,7 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
     return selection
 
 
-def _unusable(clip: Clip, track: PedestrianTrack, points: FloatArray, scenario: Scenario) -> str:
+def _unusable(clip: Clip, track: ClipTrack, points: FloatArray, scenario: Scenario) -> str:
     """Return why a track is no safe trajectory; empty where it is one."""
     edge = scenario.path_edge
     across = scenario.end.crossing * right_and_along(scenario.road.line, points)[:, 0]
@@ -255,19 +232,21 @@ def _unusable(clip: Clip, track: PedestrianTrack, points: FloatArray, scenario: 
     fastest = PEDESTRIAN.fastest  # these are
     if too_fast(track.frames / FRAME_RATE, track.positions, fastest):
         return f"faster than {fastest:g} m/s"
-    if track.duration > scenario.horizon:
+    if (track.frames[-1] - track.frames[0]) / FRAME_RATE > scenario.horizon:
         return "longer than the scenario's horizon"
-    if len(np.intersect1d(track.frames, clip.frames)) == 0:
+    frames = clip.cart.frames
+    if len(np.intersect1d(track.frames, frames)) == 0:
         return "no frame in common with the cart"
-    if max(clip.frames[0] - track.frames[0], track.frames[-1] - clip.frames[-1]) > LONGEST_HOLE * FRAME_RATE:
+    if max(frames[0] - track.frames[0], track.frames[-1] - frames[-1]) > LONGEST_HOLE * FRAME_RATE:
         return "seen while the cart is not, which it may have touched"
     if touches_cart(clip, track, scenario.adversary.reach):
         return "touches the recorded cart"
+    trajectory = Trajectory(points, scenario.time_step)
     try:
-        check_trajectory(scenario, Trajectory(points, scenario.time_step))
+        check_trajectory(scenario, trajectory)
     except UsageError:
         return "runs into an obstacle"
-    gap = scenario.car.start_speed * scenario.end.entry_time(Trajectory(points, scenario.time_step))
+    gap = scenario.car.start_speed * scenario.end.entry_time(trajectory)
     needed = max(PAPER_MULTIPLIERS) * scenario.car.safe_distance
     if scenario.car.meet_safe_trajectory and gap < needed:
         # Cars of different C would all brake from the start, and could not be told apart.
