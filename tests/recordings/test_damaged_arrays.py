@@ -88,14 +88,13 @@ def test_what_is_not_credible_is_so_for_who_learns_from_it(
     assert run_skd("fit", copy, "--json", "--out", tmp_path / "model") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
     assert said == [f"skd fit: warning: {copy / 'episodes.npz'}: {NOT_CREDIBLE}it counts"]
-    (tmp_path / "assessment.json").write_text(json.dumps({"warnings": [f"{NOT_CREDIBLE}it counts"]}))
-    assert not_credible_beside([tmp_path / "bags" / name / "0.mcap" for name in "ab"]) == [f"{NOT_CREDIBLE}it counts"]
-    assert not_credible_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
-    (tmp_path / "probe.json").write_text(json.dumps({"warnings": [f"{NOT_CREDIBLE}a probe"]}))  # of skd probe --graph
-    assert not_credible_beside([tmp_path / "bags" / "a" / "0.mcap"]) == [
-        f"{NOT_CREDIBLE}a probe",
-        f"{NOT_CREDIBLE}it counts",
+    for name in ("assessment", "probe"):
+        (tmp_path / f"{name}.json").write_text(json.dumps({"warnings": [f"{NOT_CREDIBLE}{name}"]}))
+    assert not_credible_beside([tmp_path / "bags" / name / "0.mcap" for name in "ab"]) == [
+        f"{NOT_CREDIBLE}probe",
+        f"{NOT_CREDIBLE}assessment",
     ]
+    assert not_credible_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
 
 
 @pytest.mark.parametrize("name", ["episodes.npz", "probe.json"])
@@ -105,37 +104,21 @@ def test_what_the_manifest_knows_otherwise_is_refused(probe: Path, tmp_path: Pat
     assert f"{name}: is not what was written: its SHA-256 is another than in {MANIFEST}" in refused(changed)
 
 
-@pytest.mark.parametrize("name", ["positions", "car", "impact_time", "impact_speed"])
-@pytest.mark.parametrize("value", [-1e9, np.nan])
-def test_a_value_that_cannot_be(copy: Path, refused: Refused, name: str, value: float) -> None:
-    with np.load(copy / "episodes.npz") as arrays:
-        if np.isnan(value) and np.isnan(arrays[name].flat[-1]):
-            pytest.skip("this is what it has")
-    assert "episodes.npz" in refused(edited(copy, put(name, value)))
-
-
-def retype(name: str, kind: type) -> Callable[[Arrays], object]:
-    return lambda arrays: arrays.update({name: arrays[name].astype(kind)})
-
-
-def reshape(name: str, change: Callable[[Any], Any]) -> Callable[[Arrays], object]:
+def changed(name: str, change: Callable[[Any], Any]) -> Callable[[Arrays], object]:
     return lambda arrays: arrays.update({name: change(arrays[name])})
 
 
 @pytest.mark.parametrize(
     ("edit", "part"),
     [
-        (retype("positions", np.float32), "positions must be float64, n × 2"),
-        (retype("offsets", np.float64), "offsets must be int64"),
-        (reshape("car", lambda car: car[:, :2]), "car must be"),
-        (reshape("car", lambda car: car[:-1]), "do not go together"),
-        (reshape("time_step", lambda step: np.array([step])), "time_step must be"),
-        (reshape("time_step", lambda step: step * np.nan), "time_step"),
-        (reshape("offsets", lambda offsets: offsets[::-1].copy()), "offsets"),
-        (reshape("offsets", lambda offsets: np.r_[offsets[:-2], offsets[-2] - 1, offsets[-1]]), "episode"),
-        (reshape("episode_id", lambda number: number + (1 << 60)), "episodes.npz"),
-        (reshape("mode", lambda mode: mode + 7), "episodes.npz"),
+        (changed("positions", lambda places: places.astype(np.float32)), "positions must be float64, n × 2"),
+        (changed("car", lambda car: car[:-1]), "do not go together"),
+        (changed("time_step", lambda step: step * np.nan), "time_step"),
+        (changed("offsets", lambda offsets: offsets[::-1].copy()), "offsets"),
+        (changed("mode", lambda mode: mode + 7), "episodes.npz"),
         (lambda arrays: arrays.pop("car"), "There is no item named 'car.npy'"),
+        (put("positions", -1e9), "episodes.npz"),
+        (put("impact_speed", -1e9), "episodes.npz"),
     ],
 )
 def test_columns_that_cannot_be(copy: Path, refused: Refused, edit: Callable[[Arrays], object], part: str) -> None:

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zstandard
-from bag_forge import Sent, campaign_messages, write_mcap
-from recordings_support import crossing, trials
+from bag_forge import Sent, write_mcap
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result
-from skd_evaluator.assessment.plan import Plan
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog
 
 Refused = Callable[..., str]
 Replay = Callable[..., Any]
@@ -84,29 +78,7 @@ def test_last_bags_that_are_gone_are_known_by_their_manifest(bags: Path, refused
     assert "00.mcap: is not what was written" in refused(night)
 
 
-# --- counts that cannot be
-
-
-def by_objective(counts: Sequence[int]) -> list[EpisodeLog]:
-    plan = Plan(load_scenario("crossing"), multiplier=0.5, simulations=3, seed=2)
-    safe = [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")]
-    logs = []
-    for objective, count in zip(DEFAULT_OBJECTIVES, counts, strict=True):
-        logs += trials(replace(plan, objective=objective), safe, count, 2 if objective == DEFAULT_OBJECTIVES[0] else 0)
-    return logs
-
-
-def test_objectives_with_unequal_numbers_of_trials_are_named(recorded: Callable[..., Path], replay: Replay) -> None:
-    assert replay(recorded(campaign_messages(by_objective([3, 3])), "same")).result["warnings"] == []
-    said = replay(recorded(campaign_messages(by_objective([3, 2])), "fewer")).result["warnings"]
-    assert any(
-        "the last kamikaze trials of objective paper of safe trajectory 0 were not recorded" in one for one in said
-    )
-
-
-def test_results_of_incomplete_recordings_follow_from_what_there_was(
-    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Callable[..., Path], replay: Replay
-) -> None:
+def test_results_of_incomplete_recordings_follow_from_what_there_was(logs, sent, recorded, replay) -> None:
     """Runs and φ are told by their numbers: what is missing moves none to the place of another."""
     first_run = next(place for place, log in enumerate(logs) if log.episode.mode == 2)
     parts = {
