@@ -6,16 +6,22 @@ import json
 import math
 import runpy
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from common import run_skd
+from skd_evaluator import Plan, load_result, run_episode
 from skd_evaluator.bags.tracks import RecordingFrame
 from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled, read_tracks
 from skd_evaluator.extensions.fusion.trials import PhysicalTrial, read_simulated, read_trials, table_in
+from skd_evaluator.metrics.surrogate_measures import least_clearance
+from skd_evaluator.metrics.surrogate_scenes import scene_of
+from skd_sim import Mode, Trajectory
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
@@ -30,16 +36,10 @@ WALKED = 6.0 / (14 * SCENARIO.time_step)
 def tracked(
     path: Path,
     *,
-    rate: float = 20.0,
-    other_rate: float = 10.0,
-    frame: RecordingFrame = RecordingFrame(),  # noqa: B008
-    clock: float = 7.3,
-    gap: float = GAP,
-    speed: float = SPEED,
-    said: float | None = None,
-    aside: float = 0.0,
+    rate: float = 20.0, other_rate: float = 10.0, frame: RecordingFrame = RecordingFrame(),  # noqa: B008
+    clock: float = 7.3, gap: float = GAP, speed: float = SPEED, said: float | None = None, aside: float = 0.0,
     ids: tuple[str, str] = ("car", "other"),
-) -> Path:
+) -> Path:  # fmt: skip
     """A table of a car that keeps its speed, and of somebody on φ, who stands before and after."""
     cos, sin = math.cos(frame.turned), math.sin(frame.turned)
     lines = ["t,id,x,y,heading,speed"]
@@ -102,17 +102,16 @@ def test_recordings_that_do_not_fit_are_refused(tmp_path: Path, changes, says):
         recorder().measured(tracked(tmp_path / "a.csv", **changes), PhysicalTrial("walk"))
 
 
-def rows_of(path: Path) -> list[list[str]]:
-    return [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+def kept(path: Path, keep: Callable[[list[str]], bool], out: Path | None = None) -> Path:
+    """Write the rows of a table that are to be kept, in place of it or elsewhere."""
+    head, *rows = (line.split(",") for line in path.read_text(encoding="utf-8").splitlines())
+    out = out or path
+    out.write_text("\n".join(map(",".join, [head, *filter(keep, rows)])), encoding="utf-8")
+    return out
 
 
 def test_a_recording_that_ends_while_the_two_come_nearer_is_refused(tmp_path: Path):
-    path = tracked(tmp_path / "a.csv")
-    head, *rows = rows_of(path)
-    path.write_text(
-        "\n".join(map(",".join, [head, *(row for row in rows if row[1] == "car" or float(row[0]) < 9.8)])),
-        encoding="utf-8",
-    )
+    path = kept(tracked(tmp_path / "a.csv"), lambda row: row[1] == "car" or float(row[0]) < 9.8)
     with pytest.raises(UsageError, match=r"ends 1\.\d s before its φ does, and the two still come nearer"):
         recorder().measured(path, PhysicalTrial("walk"))
     assert recorder().laid(path, PhysicalTrial("walk")).times[-1] < 3.0  # enough to calibrate by
@@ -123,9 +122,7 @@ def test_a_trial_counts_once(tmp_path: Path, gap: float):
     """Under its name, another way to it, a link and a copy, also one of another clock and one that ends earlier."""
     for name, clock in (("a", 7.3), ("b", 8.3), ("copy", 7.3), ("later", 1e5)):
         tracked(tmp_path / f"{name}.csv", clock=clock, gap=gap + 0.3 * (name == "b"))
-    head, *rows = rows_of(tmp_path / "a.csv")
-    short = "\n".join(map(",".join, [head, *(row for row in rows if float(row[0]) < 11.8)]))
-    (tmp_path / "short.csv").write_text(short, encoding="utf-8")
+    kept(tmp_path / "a.csv", lambda row: float(row[0]) < 11.8, tmp_path / "short.csv")
     (tmp_path / "link.csv").symlink_to("a.csv")
     (tmp_path / "x").mkdir()
     table = tmp_path / "trials.csv"
@@ -159,11 +156,11 @@ def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
     path = tracked(tmp_path / "a.csv", gap=reached(edge - 0.15))
     seen = recorder().measured(path, PhysicalTrial("walk"))
     assert seen.values["hit"] == 1.0
-    kept = recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
-    assert (kept.values["hit"], kept.values["clearance"], kept.seen_hit) == (0.0, 0.0, True)
+    said = recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
+    assert (said.values["hit"], said.values["clearance"], said.seen_hit) == (0.0, 0.0, True)
     missed = recorder().measured(tracked(tmp_path / "b.csv", gap=25.0), PhysicalTrial("walk", {"hit": 0.0}))
     assert missed.seen_hit is False
-    (line,) = overruled([missed, kept])
+    (line,) = overruled([missed, said])
     assert line.startswith("in 1 of 2 trials the table says that the car did not hit")
     assert not overruled([missed, seen])
 
@@ -171,12 +168,13 @@ def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
 def test_a_road_user_who_was_touched_and_leaves_its_way_was_hit(tmp_path: Path):
     """A dummy that a touch throws aside, and a table that says nobody was hit."""
     gap = reached(SCENARIO.car.half_width + SCENARIO.adversary.reach - 0.15)
-    path = tracked(tmp_path / "a.csv", gap=gap)
-    head, *rows = rows_of(path)
-    for row in rows:
+
+    def thrown(row: list[str]) -> bool:
         if row[1] == "other":
             row[3] = repr(0.9 * max(0.0, float(row[0]) - 7.3 - gap / SPEED))
-    path.write_text("\n".join(map(",".join, [head, *rows])), encoding="utf-8")
+        return True
+
+    path = kept(tracked(tmp_path / "a.csv", gap=gap), thrown)
     assert recorder().measured(path, PhysicalTrial("walk")).values["hit"] == 1.0
     with pytest.raises(UsageError, match="off its φ"):
         recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
@@ -270,9 +268,7 @@ def test_bags_become_sentences(simulated: Path, trials: Path, tmp_path: Path, ca
     assert [measured[name] for name in played] == pytest.approx(list(played.values()), abs=0.05)
 
 
-def test_trials_calibrate_the_simulator(
-    simulated: Path, trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_trials_calibrate_the_simulator(simulated: Path, trials: Path, tmp_path: Path, capsys):
     """The example's car brakes 0.15 s late; what it was played with is in the interval."""
     out = tmp_path / "calibrated"
     words = ("--parameters", "delay", "--workers", "1")
@@ -290,27 +286,20 @@ def test_trials_calibrate_the_simulator(
     assert run_skd("fuse", "--calibrate", simulated, trials, *NAMES, *again) == 0
 
 
-def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:
-    from skd_evaluator import Plan, load_result, run_episode
-    from skd_evaluator.metrics.surrogate_measures import least_clearance
-    from skd_evaluator.metrics.surrogate_scenes import scene_of
-    from skd_sim import Mode, Trajectory
-    from skd_sim.scenario.scenario import scenario_from_dict
-
+def _played(example: dict[str, Any], simulated: Path) -> dict[str, float]:
     result, found = load_result(simulated), {}
     figures = json.loads((simulated / "assessment.json").read_text("utf-8"))
     data = figures["scenario"]
-    ground = {**data["car"], **example["ON_THE_GROUND"]}  # type: ignore[dict-item]
+    ground = {**data["car"], **example["ON_THE_GROUND"]}
     scenario = scenario_from_dict({**data, "car": ground, "road": {**data["road"], "friction": 0.8}})
     plan = Plan(scenario=scenario, seed=2024, multiplier=figures["multiplier"], safe_count=12)
-    for number, positions in enumerate(result.safe):
-        phi = Trajectory(positions, plan.scenario.time_step, f"synthetic/{number}")
+    for number in np.random.default_rng(1).choice(len(result.safe), 12, replace=False).tolist():
+        phi = Trajectory(result.safe[number], plan.scenario.time_step, f"synthetic/{number}")
         log = run_episode(plan.episode(Mode.REPLAY, number, 0, phi))
         times = np.arange(len(log.car)) * plan.scenario.time_step
         if np.isnan(log.impact_time):
             found[phi.name] = least_clearance(scene_of(scenario, times, log.adversary, log.car))
-    chosen = np.random.default_rng(1).choice(len(result.safe), 12, replace=False)
-    return {name: found[name] for name in (f"synthetic/{number}" for number in chosen) if name in found}
+    return found
 
 
 @pytest.mark.parametrize(
@@ -323,9 +312,7 @@ def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:
         (("--frame", "1,2"), "must be X,Y,DEGREES"),
     ],
 )
-def test_options_that_do_not_fit_the_bags(
-    simulated: Path, trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words, says
-):
+def test_options_that_do_not_fit_the_bags(simulated, trials, tmp_path, capsys, words, says):
     assert run_skd("fuse", simulated, trials, *words, "--out", tmp_path / "out") == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

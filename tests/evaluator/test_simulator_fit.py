@@ -12,10 +12,10 @@ import pytest
 from common import run_skd
 from report_support import edited
 from scipy import stats
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.extensions.fusion.calibration import (
     Recorded,
     ReplayedDrive,
-    ShownRecording,
     calibrated,
     estimated,
     off_by,
@@ -24,6 +24,8 @@ from skd_evaluator.extensions.fusion.calibration import (
 from skd_evaluator.metrics.surrogate_scenes import Interaction
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import EpisodeSpec, Mode
+from skd_sim.world.state import Trajectory
 
 START = {"delay": 0.1, "deceleration": 15.0, "friction": 1.0}
 TIMES = np.linspace(0.0, 3.0, 11)
@@ -37,11 +39,8 @@ def trials_off(rng: np.random.Generator, count: int, delay: float, most: float) 
 
 def braked(delay: float, most: float, asked: float = 4.0) -> np.ndarray:
     passed = np.clip(TIMES - 1.0 - delay, 0.0, 8.0 / min(most, asked))
-    return (
-        8.0 * TIMES
-        - 8.0 * np.clip(TIMES - 1.0 - delay - 8.0 / min(most, asked), 0.0, None)
-        - 0.5 * min(most, asked) * passed**2
-    )
+    stopped = np.clip(TIMES - 1.0 - delay - 8.0 / min(most, asked), 0.0, None)
+    return 8.0 * TIMES - 8.0 * stopped - 0.5 * min(most, asked) * passed**2
 
 
 def off_of(places: list[np.ndarray]):
@@ -98,43 +97,16 @@ def test_trials_of_one_phi_are_one_draw():
 def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
     """The controller is shown the recording, so a drive by the same world is the recording."""
     world = calibrated(load_scenario("crossing_multi_body"), {"delay": 0.3, "friction": 0.28})
-    quiet = replace(world, car=replace(world.car, acceleration_noise=0.0))
-    count = 11
-    other = np.column_stack([np.linspace(-3.5, 1.0, count), np.zeros(count)])
-    begin = np.array([0.0, -15.0 - world.car.front, 0.5 * math.pi, world.car.start_speed])
-    # A car that its own drive leads on: shown to its controller is where it really is.
-    states = np.tile(begin, (count, 1))
-    for _ in range(count):
-        shown = ShownRecording(states)
-        off_by_own = _places(shown, quiet, other, states)
-        states = off_by_own
-    trial = Recorded("walk", other, states, "here")
+    still = {"acceleration_noise": 0.0, "speed_noise": 0.0, "start_gap_range": 0.0, "meet_safe_trajectory": False}
+    collision = replace(world.collision, minimum_impact_speed=60.0)
+    quiet = replace(world, car=replace(world.car, **still), collision=collision)
+    other = np.column_stack([np.linspace(-3.5, 1.0, 11), np.zeros(11)])
+    log = run_episode(EpisodeSpec(quiet, Mode.REPLAY, 0, 0, Trajectory(other, world.time_step, "walk")))
+    assert (quiet.control_periods, log.car[-1, 3] < 0.9 * log.car[0, 3]) == (1, True)
+    trial = Recorded("walk", log.adversary, log.car, "here")
     assert np.abs(off_by(ReplayedDrive(trial, quiet, "basic", 1.0))).max() < 1e-9
     slower = calibrated(quiet, {"delay": 0.1})
     assert off_by(ReplayedDrive(trial, slower, "basic", 1.0))[-1] > 0.5  # the recorded car braked later, and is ahead
-
-
-def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray) -> np.ndarray:
-    from skd_evaluator.assessment.run.episodes import run_episode
-    from skd_sim.world.episode import EpisodeSpec, Mode
-    from skd_sim.world.state import Trajectory
-
-    speeds: list[float] = [float(states[0, 3])]
-    step, inner = shown.step, shown._inner
-
-    def keep(acceleration: float, velocity: tuple[float, float]):
-        frame = step(acceleration, velocity)
-        speeds.append(inner.world.car.speed)
-        return frame
-
-    shown.step = keep  # type: ignore[method-assign]
-    collision = replace(world.collision, minimum_impact_speed=60.0)
-    run_episode(
-        EpisodeSpec(replace(world, collision=collision), Mode.REPLAY, 0, 0, Trajectory(other, world.time_step, "walk")),
-        simulator=shown,
-    )
-    x, y = np.array(shown.places).T
-    return np.column_stack([x, y, np.full(len(x), 0.5 * math.pi), speeds])
 
 
 def test_recordings_that_cannot_calibrate_are_refused():
