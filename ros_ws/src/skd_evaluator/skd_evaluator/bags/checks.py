@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -162,18 +163,17 @@ def missing_episodes(
         stage, index, trial = split_episode_id(number)
         if stage in trials:
             trials[stage].setdefault(index, set()).add(trial)
-    lines = []
+    kamikazes = trials[Stage.KAMIKAZE]
     known = {index for of_stage in trials.values() for index in of_stage}
     absent = _gaps(known)
-    if absent:
-        lines.append(f"no recording has an episode of safe trajectory {absent}")
+    lines = [f"no recording has an episode of safe trajectory {absent}"] if absent else []
     for stage, of_stage in trials.items():
-        for index, numbers in sorted(of_stage.items()):
-            gaps = _gaps(numbers)
-            if gaps:
-                lines.append(f"no recording has {names[stage]} {gaps} of safe trajectory {index}")
+        gaps = {index: _gaps(numbers) for index, numbers in sorted(of_stage.items())}
+        lines += [
+            f"no recording has {names[stage]} {some} of safe trajectory {on}" for on, some in gaps.items() if some
+        ]
     for index, count in sorted(reached.items()):
-        tried = len(trials[Stage.KAMIKAZE].get(index, ()))
+        tried = len(kamikazes.get(index, ()))
         if not left_out and count < requested and tried < TRIALS_PER_REQUESTED * requested:
             lines.append(
                 f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
@@ -197,19 +197,12 @@ def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
 def not_credible_beside(files: Iterable[Path]) -> list[str]:
     """Return why assessments and probes beside recordings say that they are not credible, a line each."""
     found: list[str] = []
-    for folder in _folders_of_results(files):
-        for name in SUMMARIES:
-            try:
-                found += not_credible(read_json(folder / name)["warnings"])
-            except (UsageError, TypeError, KeyError):
-                continue
-    return found
-
-
-def _folders_of_results(files: Iterable[Path]) -> list[Path]:
-    """Return the folders in whose folder `bags` files are, sorted."""
     bags = {file.absolute().parent.parent for file in files}
-    return sorted(folder.parent for folder in bags if folder.name == "bags")
+    for folder in sorted(one.parent for one in bags if one.name == "bags"):
+        for name in SUMMARIES:
+            with contextlib.suppress(UsageError, TypeError, KeyError):
+                found += not_credible(read_json(folder / name)["warnings"])
+    return found
 
 
 def _gaps(numbers: Set[int]) -> str:

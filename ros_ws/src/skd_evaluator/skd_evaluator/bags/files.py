@@ -83,13 +83,11 @@ def joined(files: Sequence[Path], damage: Damage) -> list[list[Path]]:
     """
     groups: dict[tuple[Path, str], list[Path]] = {}
     for file in files:
-        numbered = _NUMBERED.fullmatch(_stem(file))
-        in_bag = is_there(file.parent / METADATA)
-        name = "" if in_bag else numbered.group(1) if numbered and numbered.group(1) else file.name
+        name = "" if is_there(file.parent / METADATA) else _shared(file) or file.name
         groups.setdefault((file.parent, name), []).append(file)
     found: list[list[Path]] = []
-    for (folder, _), group in groups.items():
-        if len(group) == 1 or is_there(folder / METADATA):
+    for (_, name), group in groups.items():
+        if len(group) == 1 or not name:
             found.append(sorted(group, key=_in_order))
             continue
         spans = {file: span for file in group if (span := span_of(file)) is not None}
@@ -101,11 +99,9 @@ def joined(files: Sequence[Path], damage: Damage) -> list[list[Path]]:
                 found[-1].append(file)
             else:
                 found.append([file])
-                if 0.0 <= pause <= _NEAR:
-                    damage.warn(
-                        f"{file} begins {pause:.2f} s after {last.name} ends: they are read as two recordings; is one "
-                        "of between missing?"
-                    )
+            if _FOLLOWS < pause <= _NEAR:
+                read = "they are read as two recordings; is one of between missing?"
+                damage.warn(f"{file} begins {pause:.2f} s after {last.name} ends: {read}")
             end, last = spans[file][1], file
     return found
 
@@ -114,8 +110,13 @@ def name_of(files: Sequence[Path]) -> str:
     """Return the name of a recording, without ending: of a bag its folder's, of several files what they share."""
     if is_there(files[0].parent / METADATA):
         return files[0].parent.name
-    numbered = _NUMBERED.fullmatch(_stem(files[0])) if len(files) > 1 else None
-    return numbered.group(1) if numbered and numbered.group(1) else _stem(files[0])
+    return (_shared(files[0]) if len(files) > 1 else "") or _stem(files[0])
+
+
+def _shared(file: Path) -> str:
+    """Return the name of a file without a number at its end; empty if it has none, or nothing else."""
+    numbered = _NUMBERED.fullmatch(_stem(file))
+    return numbered.group(1) if numbered else ""
 
 
 def holds_recordings(folder: Path) -> bool:

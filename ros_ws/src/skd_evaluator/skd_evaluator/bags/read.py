@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from skd_sim.errors import UsageError
 from skd_sim.options.options import shared_options
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessment.plan import model_digest
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message, stamps
@@ -142,47 +142,44 @@ class GraphRecording:
             damage: takes note of episodes that are not yielded.
         """
         for key, result in self.results.items():
-            name = f"{where}: episode {key.episode_id}"
-            if key not in self.episodes:
-                damage.leave_out(
-                    f"{where}: has the result of episode {key.episode_id} but not the episode: record {EPISODE}"
-                )
-                continue
-            if key in self.disputed:
-                damage.leave_out(f"{name}: {self.disputed[key]}")
-                continue
+            episode = f"{where}: episode {key.episode_id}"
             try:
-                episode = message_to_episode(self.episodes[key])
+                if key not in self.episodes:
+                    raise ValueError(
+                        f"{where}: has the result of episode {key.episode_id} but not the episode: record {EPISODE}"
+                    )
+                if key in self.disputed:
+                    raise ValueError(f"{episode}: {self.disputed[key]}")
+                yield BagEpisode(key, self._log(key, result, where))
             except ValueError as error:
-                damage.leave_out(f"{name} is not valid ({shortened(str(error))})")
-                continue
-            log = self._log(episode, key, result, where, damage)
-            if log is not None:
-                yield BagEpisode(key, log)
+                damage.leave_out(str(error))
 
-    def _log(
-        self, episode: EpisodeSpec, key: EpisodeKey, result: EpisodeEnd, where: str, damage: Damage
-    ) -> EpisodeLog | None:
+    def _log(self, key: EpisodeKey, result: EpisodeEnd, where: str) -> EpisodeLog:
+        """Return an episode as it was recorded.
+
+        Raises:
+            ValueError: it is not valid, or is not there as a whole.
+        """
         name = f"{where}: episode {key.episode_id}"
-        if result.ticks > episode.scenario.ticks:
-            damage.leave_out(
-                f"{name}: is said to have {result.ticks} ticks, its scenario at most {episode.scenario.ticks}"
-            )
-            return None
+        try:
+            episode = message_to_episode(self.episodes[key])
+        except ValueError as error:
+            raise ValueError(f"{name} is not valid ({shortened(str(error))})") from error
+        most = episode.scenario.ticks
+        if result.ticks > most:
+            raise ValueError(f"{name}: is said to have {result.ticks} ticks, its scenario at most {most}")
         torn = next((stamp for stamp in stamps(episode, key.start, result) if stamp in self.torn), None)
         if torn is not None:
-            damage.leave_out(f"{name}: {self.torn[torn]}")
-            return None
+            raise ValueError(f"{name}: {self.torn[torn]}")
         missing = self.samples.missing(episode, key.start, result)
         if not missing:
             return self.samples.log(episode, key.start, result)
         if result.outcome == Outcome.ABORTED:
             return aborted(episode, result.reason)
-        damage.leave_out(
-            f"{where}: {missing} states of episode {key.episode_id} are missing: was recording begun too late, "
-            f"or were {CAR} and {ADVERSARY} not recorded?"
+        raise ValueError(
+            f"{where}: {missing} states of episode {key.episode_id} are missing: was recording begun too late, or were "
+            f"{CAR} and {ADVERSARY} not recorded?"
         )
-        return None
 
 
 _TOPICS = {
@@ -210,14 +207,6 @@ class BagContent:
     files: list[Path]
 
 
-@dataclass(frozen=True)
-class _Located:
-    """An episode and the file in which it was found."""
-
-    episode: BagEpisode
-    where: str
-
-
 def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[BagEpisode]:
     """Return all episodes that ended; otherwise like `read_bags`."""
     return read_bags(paths, damage).episodes
@@ -238,19 +227,21 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> BagContent
     announced: set[EpisodeName] = set()
     recordings = find_recordings(paths, damage)
     for files in recordings:
-        graphs: dict[str, GraphRecording] = {}
+        where, graphs = str(files[0]), dict[str, GraphRecording]()
         for file in files:
             _read_file(file, graphs, damage)
         for recording in graphs.values():
             announced.update(recording.announced())
-            for episode in recording.logs(str(files[0]), damage):
-                found.setdefault(episode.name, []).append(_Located(episode, str(files[0])))
+            for episode in recording.logs(where, damage):
+                found.setdefault(episode.name, []).append((episode, where))
     places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
-    counting = accept([LocatedLog(one.episode.log, one.where, one.episode.key.campaign) for one in places], damage)
-    episodes = [places[index].episode for index in counting]
-    return BagContent(
-        episodes, sorted(announced - set(found)), announced, [file for files in recordings for file in files]
-    )
+    counting = accept([LocatedLog(one.log, where, one.key.campaign) for one, where in places], damage)
+    every = [file for files in recordings for file in files]
+    return BagContent([places[index][0] for index in counting], sorted(announced - set(found)), announced, every)
+
+
+_Located = tuple[BagEpisode, str]
+"""An episode and the file in which it was found."""
 
 
 def _one_of(places: Sequence[_Located], damage: Damage) -> _Located | None:
@@ -258,18 +249,17 @@ def _one_of(places: Sequence[_Located], damage: Damage) -> _Located | None:
 
     The same one may be given twice, and an episode may have been run again after it was aborted.
     """
-    completed = [one for one in places if one.episode.log.outcome != Outcome.ABORTED]
-    first = (completed or places)[0]
-    different = [one for one in completed or places if _content(one.episode.log) != _content(first.episode.log)]
-    if different:
-        number = first.episode.key.episode_id
-        damage.leave_out(f"{first.where}: episode {number} is another one in {different[0].where}: give one of them")
-        return None
-    starts = {one.episode.key.start for one in completed}
+    completed = [one for one in places if one[0].log.outcome != Outcome.ABORTED]
+    first, where = (completed or places)[0]
+    number = first.key.episode_id
+    for other, elsewhere in completed or places:
+        if _content(other.log) != _content(first.log):
+            damage.leave_out(f"{where}: episode {number} is another one in {elsewhere}: give one of them")
+            return None
+    starts = {one.key.start for one, _ in completed}
     if len(starts) > 1:
-        number = first.episode.key.episode_id
-        damage.warn(f"{first.where}: episode {number} was run {len(starts)} times with the same result: it counts once")
-    return first
+        damage.warn(f"{where}: episode {number} was run {len(starts)} times with the same result: it counts once")
+    return first, where
 
 
 def _content(log: EpisodeLog) -> tuple[object, ...]:

@@ -83,43 +83,40 @@ def read_tracks(path: Path, car: str | None, other: str | None, damage: Damage |
 
 def _check_track(track: Track) -> None:
     """Refuse a track that is too short or long, jumps, or whose speeds are not those of its positions."""
-    times, places, where = track.times, track.places, track.where
+    times, duration = track.times, track.times[-1] - track.times[0]
+    why = track.jump
     if len(times) < 5:
-        raise UsageError(f"{where}: {len(times)} positions are no track")
-    if times[-1] - times[0] > _LONGEST:
-        raise UsageError(f"{where}: lasts {times[-1] - times[0]:.4g} s, more than {_LONGEST:g} s: are times in s?")
-    if track.jump:
-        raise UsageError(f"{where}: {track.jump}")
-    off = zigzag(times, places) - _NOISE
-    worst = int(np.argmax(off))
-    if off[worst] > 0.0:
-        raise UsageError(
-            f"{where}: leaps by {off[worst] + _NOISE:.2g} m from the line between the positions before and after at "
-            f"{times[worst + 1]:.2f} s: positions without jumps are needed"
-        )
-    if track.speeds is not None:
-        _check_speeds(track, np.abs(track.speeds))
+        why = f"{len(times)} positions are no track"
+    elif duration > _LONGEST:
+        why = f"lasts {duration:.4g} s, more than {_LONGEST:g} s: are times in s?"
+    elif not why:
+        off = zigzag(times, track.places)
+        worst = int(np.argmax(off))
+        if off[worst] > _NOISE:
+            where = f"from the line between the positions before and after at {times[worst + 1]:.2f} s"
+            why = f"leaps by {off[worst]:.2g} m {where}: positions without jumps are needed"
+        elif track.speeds is not None:
+            why = _wrong_speeds(track, np.abs(track.speeds))
+    if why:
+        raise UsageError(f"{track.where}: {why}")
 
 
-def _check_speeds(track: Track, speeds: FloatArray) -> None:
-    """Refuse stated speeds (m/s) that are not those of the positions, on the whole or at a moment."""
+def _wrong_speeds(track: Track, speeds: FloatArray) -> str:
+    """Return how stated speeds (m/s) are not those of the positions, on the whole or at a moment; empty if they are."""
     times = track.times
     went = float(np.hypot(*np.diff(track.places, axis=0).T).sum())
     stated = float(np.trapezoid(speeds, times))
     if max(went, stated) < _MOVES * (times[-1] - times[0]):
-        return
+        return ""
     ratio = stated / max(went, 1e-9)
     if not 1.0 / _SAME_SPEED <= ratio <= _SAME_SPEED:
         hint = ": is it in km/h?" if abs(ratio - 3.6) < 0.5 else ""
-        raise UsageError(f"{track.where}: its speed is {ratio:.2g} times that of its positions{hint}")
+        return f"its speed is {ratio:.2g} times that of its positions{hint}"
     seen = np.hypot(*_velocity_at(track, times, _SPEED_OVER, holes=True).T)
     off = np.abs(seen - speeds) - _SLACK - (_SAME_SPEED - 1.0) * np.maximum(seen, speeds)
-    worst = int(np.argmax(off))
-    if off[worst] > 0.0:
-        raise UsageError(
-            f"{track.where}: its speed is {speeds[worst]:.2g} m/s at {times[worst]:.2f} s, and that of its positions "
-            f"{seen[worst]:.2g} m/s"
-        )
+    at = int(np.argmax(off))
+    said = f"its speed is {speeds[at]:.2g} m/s at {times[at]:.2f} s, and that of its positions {seen[at]:.2g} m/s"
+    return said if off[at] > 0.0 else ""
 
 
 def _places_at(track: Track, times: FloatArray, *, holes: bool = False) -> FloatArray:
@@ -202,7 +199,7 @@ class TrialRecorder:
         Raises:
             UsageError: it cannot be read, does not follow φ, does not fit the road, or contradicts the table.
         """
-        said = trial.values
+        said, where = trial.values, trial.where
         is_apart = said.get("hit") == 0.0 or said.get("clearance", 0.0) > 0.0
         depth = _NOISE if is_apart else 0.0
         scene = self.laid(path, trial, depth)
@@ -213,26 +210,28 @@ class TrialRecorder:
             self._check_whole(scene, self.safe[trial.phi], path)
         if hit and is_apart:
             raise UsageError(
-                f"{trial.where}: says that the car did not hit, and in the recording it is more than {depth:g} m "
-                f"inside the road user's outline, at {speeds[-1]:.1f} m/s; that is a hit (hit = 1)"
+                f"{where}: says that the car did not hit, and in the recording it is more than {depth:g} m inside the "
+                f"road user's outline, at {speeds[-1]:.1f} m/s; that is a hit (hit = 1)"
             )
-        values = figures_of(scene, hit=hit)
-        _check_agrees(trial, values)
+        values, gap = figures_of(scene, hit=hit), gap_to_crossing(self.scenario, scene.car[0])
         if said.get("hit") == 1.0:
+            if values["clearance"] > _NOISE:
+                apart = f"in the recording it stays {values['clearance']:.2f} m away"
+                raise UsageError(f"{where}: says that the car hit, and {apart}")
             values["clearance"] = 0.0
-        gap = gap_to_crossing(self.scenario, scene.car[0])
+        for key in ("clearance", "required_deceleration"):
+            if key in said and abs(said[key] - values[key]) > _NOISE:
+                raise UsageError(
+                    f"{where}: {key} is said to be {said[key]:g}, and the recording gives {values[key]:.3g}"
+                )
         if trial.gap is not None and abs(trial.gap - gap) > self.gap_tolerance:
             raise UsageError(
-                f"{trial.where}: gap is said to be {trial.gap:.2f} m, and the recording gives {gap:.2f}, more than "
+                f"{where}: gap is said to be {trial.gap:.2f} m, and the recording gives {gap:.2f}, more than "
                 f"{self.gap_tolerance:g} m off: leave it out, or does --reference say which point is tracked?"
             )
-        return replace(
-            trial,
-            values={**values, **said},
-            gap=gap if trial.gap is None else trial.gap,
-            seen_hit=seen is not None and is_hit(speeds[seen]),
-            track=track_of(scene),
-        )
+        values, gap = {**values, **said}, gap if trial.gap is None else trial.gap
+        seen_hit = seen is not None and is_hit(speeds[seen])
+        return replace(trial, values=values, gap=gap, seen_hit=seen_hit, track=track_of(scene))
 
     def laid(self, path: Path, trial: PhysicalTrial, depth: float = 0.0) -> Interaction:
         """Return the recording of a trial from the beginning of its φ to its end, or to the contact.
@@ -253,15 +252,8 @@ class TrialRecorder:
         scene = self._scene(car, other, begin, self.scenario.time_step * (len(phi) - 1))
         contact = _first_contact(scene, depth)
         if contact is not None:
-            rows = slice(contact + 1)
-            scene = replace(
-                scene,
-                times=scene.times[rows],
-                car=scene.car[rows],
-                other=scene.other[rows],
-                velocity=scene.velocity[rows],
-                turned=scene.turned[rows],
-            )
+            timed = ("times", "car", "other", "velocity", "turned")
+            scene = replace(scene, **{name: getattr(scene, name)[: contact + 1] for name in timed})
         self._check_follows(scene, phi, path)
         self._check_road(scene, path)
         fastest, least = float(scene.car[:, 3].max()), self.scenario.collision.hit_speed
@@ -327,24 +319,23 @@ class TrialRecorder:
         """Refuse a car that is beside its lane, across it, or goes elsewhere than it points."""
         line = self.scenario.road.line
         places = right_and_along(line, np.ascontiguousarray(scene.car[:, :2]))
-        aside = float(np.abs(places[:, 0]).max())
-        if aside > 0.5 * self.scenario.road.lane_width:
-            raise UsageError(
-                f"{path}: the car is {aside:.1f} m beside its lane's centre: does --frame say where map lies?"
-            )
         lanes = np.array([road_pose(line, along)[2] for along in places[:, 1].tolist()])
-        turned = float(np.abs(np.angle(np.exp(1j * (scene.car[:, 2] - lanes)))).max())
-        if turned > _TURNED:
-            raise UsageError(f"{path}: the car points {math.degrees(turned):.0f}° off its lane: does --frame turn it?")
         over = max(1, min(round(_WENT / _STEP), len(scene.times) - 1))
         went = (scene.car[over:, :2] - scene.car[:-over, :2]) @ np.array([1.0, 1j])
         pointed = np.cumsum(np.exp(1j * scene.car[:, 2]))
         off = np.abs(np.angle(went * (pointed[over:] - pointed[:-over]).conj()))[np.abs(went) >= _SHOWN]
-        if off.size and off.max() > _POINTED:
-            raise UsageError(
-                f"{path}: the car goes {math.degrees(off.max()):.0f}° aside of where it points: is its heading in rad, "
-                "counter-clockwise from the x axis of the recording's frame?"
-            )
+        aside = float(np.abs(places[:, 0]).max())
+        turned = float(np.abs(np.angle(np.exp(1j * (scene.car[:, 2] - lanes)))).max())
+        why = ""
+        if aside > 0.5 * self.scenario.road.lane_width:
+            why = f"is {aside:.1f} m beside its lane's centre: does --frame say where map lies?"
+        elif turned > _TURNED:
+            why = f"points {math.degrees(turned):.0f}° off its lane: does --frame turn it?"
+        elif off.size and off.max() > _POINTED:
+            heading = "is its heading in rad, counter-clockwise from the x axis of the recording's frame?"
+            why = f"goes {math.degrees(off.max()):.0f}° aside of where it points: {heading}"
+        if why:
+            raise UsageError(f"{path}: the car {why}")
 
 
 def track_of(scene: Interaction) -> FloatArray:
@@ -371,16 +362,3 @@ def _first_contact(scene: Interaction, depth: float) -> int | None:
     shrunk = replace(scene, footprint=(front - depth, rear - depth, max(0.0, half_width - depth)))
     touching = np.flatnonzero(clearances(shrunk) <= 0.0)
     return int(touching[0]) if touching.size else None
-
-
-def _check_agrees(trial: PhysicalTrial, measured: Mapping[str, float]) -> None:
-    """Refuse a table that says otherwise than the recording beside it, noise left aside."""
-    if trial.values.get("hit") == 1.0 and measured["clearance"] > _NOISE:
-        raise UsageError(
-            f"{trial.where}: says that the car hit, and in the recording it stays {measured['clearance']:.2f} m away"
-        )
-    for key in ("clearance", "required_deceleration"):
-        if key in trial.values and abs(trial.values[key] - measured[key]) > _NOISE:
-            raise UsageError(
-                f"{trial.where}: {key} is said to be {trial.values[key]:g}, and the recording gives {measured[key]:.3g}"
-            )
