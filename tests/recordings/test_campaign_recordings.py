@@ -68,9 +68,7 @@ def figures(result: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in result.items() if name not in others and not name.startswith(of_margin)}
 
 
-def test_a_recording_of_both_gives_the_same_assessment(
-    live: Assessment, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_recording_of_both_gives_the_same_assessment(live, messages, recorded, replay, tmp_path: Path) -> None:
     done = replay(recorded(messages))
     assert (done.code, done.err) == (0, "")
     assert_valid(done.result)
@@ -82,12 +80,7 @@ def test_a_recording_of_both_gives_the_same_assessment(
     assert done.result["warnings"] == []
 
 
-def test_what_is_missing_is_said_with_its_objective(
-    by_objective: dict[Objective, list[EpisodeLog]],
-    messages: Sequence[Sequence[Sent]],
-    recorded: Write,
-    replay: Callable[..., Any],
-) -> None:
+def test_what_is_missing_is_said_with_its_objective(by_objective, messages, recorded, replay) -> None:
     logs = [log for of_one in by_objective.values() for log in of_one]
     lost = next(k for k, log in enumerate(logs) if log.episode.objective == "paper" and _is_of(log, 1))
     done = replay(recorded([one for k, one in enumerate(messages) if k != lost]))
@@ -95,6 +88,10 @@ def test_what_is_missing_is_said_with_its_objective(
     said = "\n".join(done.result["warnings"])
     assert "no recording has kamikaze trials of objective paper 0 of safe trajectory 1" in said
     assert "of objective deviation" not in said
+    fewer = [one for one in logs if not (one.episode.objective == "paper" and _is_of(one, 0))]
+    fewer += [one for one in by_objective[Objective.PAPER] if _is_of(one, 0)][:-1]
+    said = "\n".join(replay(recorded(campaign_messages(fewer), "fewer")).result["warnings"])
+    assert "the last kamikaze trials of objective paper of safe trajectory 0 were not recorded" in said
 
 
 CAR = fitted_car(any_car_models()[0])
