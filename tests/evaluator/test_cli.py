@@ -103,7 +103,7 @@ def test_failing_controller(here, name, workers, parts):
 
 def test_user_controller_is_assessed(here):
     mine = ("--adversary-model", "generic", "--controller", "my_cars:Fine", "--safe", "good.csv", "--margin-limit", "0")
-    done = skd_from_nothing("assess", *SMALL, *mine, "--details", "--out", "out", cwd=here)
+    done = skd_from_nothing("assess", *SMALL, *mine, "--details", "--no-pictures", "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
     assert (result["controller"], result["multiplier"]) == ("my_cars:Fine", None)

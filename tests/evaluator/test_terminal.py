@@ -36,7 +36,7 @@ class Car:
 def test_json_is_alone_whatever_a_controller_prints(here):
     (here / "noisy.py").write_text(NOISY)
     noisy = ("--safe", "good.csv", "--adversary-model", "generic", "--controller", "noisy:Car")
-    done = skd_from_nothing("assess", *SMALL, *noisy, "--json", "--out", "out", cwd=here)
+    done = skd_from_nothing("assess", *SMALL, *noisy, "--json", "--no-pictures", "--out", "out", cwd=here)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == json.loads((here / "out" / "assessment.json").read_text(encoding="utf-8"))
     for said in ("imported", "reset", "raw ", "from a child", "command "):

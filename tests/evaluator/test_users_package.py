@@ -54,7 +54,8 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_of_each(package: Path, tmp_path: Path):
     words = (
         "--details", "--controller", "careful", "--scenario", "quiet", "--objective", "near", "--simulator", "ice",
-        "--workers", "1", "--adversary-model", "generic", "--margin-limit", "16",
+        "--workers", "1", "--adversary-model", "generic", "--margin-limit", "16", "--behaviour",
+        "none", "--no-pictures",
     )  # fmt: skip
     done = skd_from_nothing("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
     assert done.returncode == 0, done.stderr

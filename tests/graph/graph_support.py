@@ -182,7 +182,12 @@ def skd_here(capsys: pytest.CaptureFixture[str], *arguments: object) -> Finished
     return Finished(run_skd(*arguments), *capsys.readouterr())
 
 
-_OF_MARGIN = re.compile("margin|optimality_gap|impact_speed|equivalent_multiplier|vulnerability_curve")
+_WITH_THE_CAR = {
+    "margin": "margin|optimality_gap|impact_speed|equivalent_multiplier|vulnerability_curve",
+    "risk_1": "risk",
+    "time_lost": "time_lost|deadlock|needless|slow|price",
+}
+"""Figures that take the car, and not its recordings alone, by one of them that is missing where they are."""
 
 
 def numbers(folder: Path) -> dict[str, Any]:
@@ -195,18 +200,14 @@ def numbers(folder: Path) -> dict[str, Any]:
 def assert_same_results(one: Path, other: Path) -> None:
     """Two assessments are the same to the last bit: every number, and every trajectory.
 
-    See `assert_same_episodes` for what only one of them knows. A recording of a user's car has no margin, and none
-    has a risk: that takes the car.
+    See `assert_same_episodes` for what only one of them knows. What takes the car may be missing in one.
     """
     ours, theirs = numbers(one), numbers(other)
-    if None in (ours["margin"], theirs["margin"]):
-        ours, theirs = (
-            {key: value for key, value in one.items() if not _OF_MARGIN.match(key)} for one in (ours, theirs)
-        )
-    if None in (ours["risk_1"], theirs["risk_1"]):
-        ours, theirs = (
-            {key: value for key, value in one.items() if not key.startswith("risk")} for one in (ours, theirs)
-        )
+    for figure, names in _WITH_THE_CAR.items():
+        if None in (ours[figure], theirs[figure]):
+            ours, theirs = (
+                {key: value for key, value in result.items() if not re.match(names, key)} for result in (ours, theirs)
+            )
     assert ours == theirs
     assert_same_episodes(*((folder / "episodes.npz").read_bytes() for folder in (one, other)))
 

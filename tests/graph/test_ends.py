@@ -89,7 +89,7 @@ def test_a_command_whose_own_node_hangs_in_its_end(tmp_path: Path, safe: Path) -
     arguments = [
         "assess", "--graph", "--record", "--adversary-model", "generic", "--margin-limit", 0, "--behaviour", "none",
         "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2, "--simulations", 50,
-        "--out", tmp_path / "out",
+        "--no-pictures", "--out", tmp_path / "out",
     ]  # fmt: skip
     with in_domain(new_domain(), token):
         process = subprocess.Popen(

@@ -6,13 +6,12 @@ import dataclasses
 import json
 import signal
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import rclpy
-from common import PATIENCE, new_domain, wait_until
+from common import PATIENCE, new_domain
 from graph_support import Program, assert_same_results, skd
 from rcl_interfaces.msg import ParameterType
 from rclpy.executors import SingleThreadedExecutor
@@ -110,21 +109,3 @@ def test_an_episode_by_hand_is_one_bag_that_replays(tmp_path: Path) -> None:
     replayed = run_episode(dataclasses.replace(read.log.episode, controller="basic", multiplier=1.0))
     assert replayed.car.tobytes() == read.log.car.tobytes()
     assert replayed.adversary.tobytes() == read.log.adversary.tobytes()
-
-
-def test_an_episode_by_hand_learns_no_car(tmp_path: Path) -> None:
-    parameters = {"task": "episode", "controller": "external", "adversary_model": "learned", "out": tmp_path / "out"}
-    finished = node("evaluator", new_domain(), **parameters).finish()
-    assert finished.code == 2
-    assert "name a model with car_model" in finished.err
-
-
-def test_interrupted_leaves_nothing(tmp_path: Path):
-    program = node("evaluator", new_domain(), task="episode", mode="safe", out=tmp_path / "out")
-    wait_until(lambda: list(tmp_path.iterdir()), "the evaluator's temporary folder")
-    time.sleep(0.5)
-    program.popen.send_signal(signal.SIGINT)
-    finished = program.finish()
-    assert finished.code == 130
-    assert finished.lines[-1] == "evaluator: interrupted; nothing was written"
-    assert list(tmp_path.iterdir()) == []

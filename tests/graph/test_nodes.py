@@ -93,20 +93,24 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: EpisodeSpec
 # --- parameters
 
 
+LEARNED = {"task": "episode", "controller": "external", "adversary_model": "learned"}
+
+
 @pytest.mark.parametrize(
-    ("module", "name", "value", "said"),
+    ("module", "parameters", "said"),
     [
-        (SIMULATOR, "command_type", "joy", "accel_stamped"),
-        (SIMULATOR, "rate_factor", 1e6, "rate_factor"),
-        (EVALUATOR, "scenario", "no_such", "no_such"),
-        (EVALUATOR, "out", "/proc", "give a new folder"),
+        (SIMULATOR, {"command_type": "joy"}, "accel_stamped"),
+        (SIMULATOR, {"rate_factor": 1e6}, "rate_factor"),
+        (EVALUATOR, {"scenario": "no_such"}, "no_such"),
+        (EVALUATOR, {"out": "/proc"}, "give a new folder"),
+        (EVALUATOR, LEARNED, "name a model with car_model"),
     ],
 )
 def test_a_wrong_parameter_is_one_line_and_exit_code_2(
-    context: ForkServerContext, tmp_path: Path, module: str, name: str, value: object, said: str
+    context: ForkServerContext, tmp_path: Path, module: str, parameters: dict[str, object], said: str
 ) -> None:
     log = tmp_path / "log"
-    assert wait_for_end(start_node(context, module, log, new_domain(), **{name: value})) == 2, log.read_text()
+    assert wait_for_end(start_node(context, module, log, new_domain(), **parameters)) == 2, log.read_text()
     lines = log.read_text().splitlines()
     assert len(lines) == 1, lines
     assert said in lines[0]

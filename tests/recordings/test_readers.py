@@ -121,7 +121,7 @@ def test_a_file_is_taken_or_refused_in_one_line(kind: str, files: Path, tmp_path
     read = _reader((tmp_path / name), [*words, *out])
     assert read(content) == 0
 
-    @settings(max_examples=10 if command[0] == "assess" else 25)
+    @settings(max_examples=6 if command[0] == "assess" else 15)
     @given(st.data())
     def refuse(data: st.DataObject) -> None:
         how = data.draw(st.sampled_from(["damaged", "damaged", "damaged", "random"]))

@@ -194,9 +194,9 @@ def test_what_cannot_be_told_apart_is_not_kept():
 
 
 def test_first_runs_at_once_neither_disturb_each_other_nor_differ(mine):
-    with ThreadPoolExecutor(3) as pool:
-        answers = list(pool.map(answer, [mine] * 3))
-    assert answers == [answers[0]] * 3
+    with ThreadPoolExecutor(2) as pool:
+        answers = list(pool.map(answer, [mine] * 2))
+    assert answers[0] == answers[1]
     left = kept(mine)
     assert answer(mine) == pytest.approx(139.24)
     assert kept(mine) == left

@@ -83,9 +83,9 @@ def model_digest(number: int, car_model: str) -> str:
 
 
 def follows_other_trajectory(episode: EpisodeSpec) -> bool:
-    """Tell whether somebody follows a way that is no φ: one of the margin under a trial's draws, or of the risk."""
+    """Return whether the road user follows no φ, but a trajectory of the margin, the risk or the price of caution."""
     stage = split_episode_id(episode.episode_id)[0]
-    return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK)
+    return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK, Stage.PRICE)
 
 
 @dataclass(frozen=True)
