@@ -13,13 +13,12 @@ from scipy import special, stats
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.plan import Plan, split_episode_id
-from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import ScaleRisk, Subsets, Touch, log_t_interval
-from skd_evaluator.risk.cars import AnyCar, KnownCar, end_of
+from skd_evaluator.risk.cars import AnyCar, KnownCar
 from skd_evaluator.risk.crossings import (
     IN_A_CURVE,
     SAME,
@@ -70,31 +69,6 @@ def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario,
     np.testing.assert_allclose(compiled.missed, whole.missed, atol=1e-9)
     assert (compiled.touch == Touch.FRONT).any()
     np.testing.assert_array_equal(compiled.touch == Touch.FRONT, compiled.missed == 0.0)
-
-
-def test_sides_of_a_contact_are_told_apart(safe):
-    """Held against a look at the rectangle by hand, at the contact."""
-    here = crossing_plan(safe, replace(PLAN, multiplier=1.0))
-    crossings = crude_crossings(here, 400)
-    seen = set()
-    for episode in AnyCar(here, InProcessRunner(1)).episodes(crossings, 2.0):
-        log = run_episode(episode)
-        touch, _ = end_of(log)
-        seen.add(touch)
-        if log.outcome != Outcome.COLLISION:
-            assert touch == Touch.NONE
-            continue
-        passed = log.impact_time / 0.3 - (len(log.car) - 2)
-        car = log.car[-2] + passed * (log.car[-1] - log.car[-2])
-        x, y = log.trajectory.positions[-1]
-        beside, ahead = abs(x - car[0]) - 0.9, y - car[1] - 2.25
-        assert math.hypot(max(beside, 0.0), max(ahead, 0.0)) == pytest.approx(0.25, abs=1e-3)
-        if log.impact_speed < CROSSING.collision.hit_speed:
-            assert touch == Touch.STANDING
-        else:
-            assert touch == (Touch.FRONT if beside < 0.25 - 1e-6 else Touch.FLANK)
-            assert (touch == Touch.FRONT) == (ahead > 1e-6)
-    assert seen == {Touch.NONE, Touch.FRONT, Touch.FLANK, Touch.STANDING}
 
 
 def simulated(here: CrossingPlan, car: KnownCar | Gauss, scale: float, effort: SubsetEffort) -> Subsets:
