@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 
 
@@ -25,11 +24,3 @@ def follow(folder: Path, manifest: str) -> None:
         (folder / MANIFEST).unlink()
     elif manifest == "rewritten":
         write_manifests(folder)
-
-
-def change_array(folder: Path, name: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
-    with np.load(folder / "episodes.npz") as file:
-        arrays = {key: file[key].copy() for key in file.files}
-    arrays[name] = change(arrays[name])
-    np.savez(folder / "episodes.npz", **arrays)
-    write_manifests(folder)

@@ -11,8 +11,6 @@ from cli_support import SMALL
 from common import run_skd
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 
-HOSTILE = "<script>alert(1)</script>"
-
 
 def make_sweep(folder: Path) -> Path:
     """Run a sweep of two cars over two φ."""
@@ -28,13 +26,3 @@ def edited(source: Path, target: Path, **changes: Any) -> Path:
     path = target / "assessment.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
     return target
-
-
-def hostile(source: Path, target: Path) -> Path:
-    """Copy an assessment whose car, φ and remarks are called as no car, φ or remark should be."""
-    figures = json.loads((source / "assessment.json").read_text())
-    rows = [{**row, "name": f"{HOSTILE}{number}"} for number, row in enumerate(figures["per_safe_trajectory"])]
-    remarks = [f"</script>{HOSTILE}", "<!--", '"><img src=x onerror=alert(1)>']
-    return edited(
-        source, target, controller=HOSTILE, multiplier=None, per_safe_trajectory=rows, warnings=remarks, safe=HOSTILE
-    )

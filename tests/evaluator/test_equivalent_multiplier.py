@@ -93,22 +93,3 @@ def test_trials_that_say_nothing_do_not_count():
     assert found.trials == 3
     assert found.mean == pytest.approx((0.1 + 0.5 + 0.2) / 3)
     assert difference([[math.nan]], [[1.0]]) is None
-
-
-def campaign(
-    multipliers: list[float], hardness: np.ndarray, other: np.ndarray, rng: np.random.Generator
-) -> tuple[list[np.ndarray], dict[float, list[np.ndarray]]]:
-    """Margins as those of campaigns are, of a car that is some φ's own multiplier, and of basic cars.
-
-    The mean is a shape that was measured, with a factor of each φ; chance within φ is mostly common to all cars.
-    """
-    at = [0.3, 0.5, 0.625, 0.75, 0.875, 1.0, 1.1, 1.15, 1.3, 1.5, 1.7]
-    common = rng.normal(size=(len(hardness), 25))
-
-    def margins(multiplier: np.ndarray) -> np.ndarray:
-        level = np.interp(multiplier, at, [0.03, 0.06, 0.12, 0.23, 0.42, 0.65, 0.87, 1.07, 1.83, 4.1, 4.8])[:, None]
-        own = rng.normal(size=common.shape)
-        return np.clip(level * hardness[:, None] + 0.3 * np.sqrt(level) * (0.9 * common + 0.3 * own), 0.0, 5.0)
-
-    basic = {one: list(margins(np.full(len(hardness), one))) for one in multipliers}
-    return list(margins(other)), basic

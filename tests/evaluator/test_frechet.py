@@ -61,13 +61,6 @@ def test_equals_minimum_over_all_couplings(pair):
     assert discrete_frechet(p, q) == pytest.approx(brute_force(p, q), rel=1e-15, abs=0.0)
 
 
-def test_diagonal_step_is_allowed():
-    p = np.array([[0.0, 0.0], [10.0, 0.0]])
-    q = np.array([[0.0, 1.0], [10.0, 1.0]])
-    # Without the diagonal step one of the two would have to cross alone: √101.
-    assert discrete_frechet(p, q) == 1.0
-
-
 @pytest.mark.parametrize("dimension", [1, 2, 3, 5])
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (1, 7), (7, 1), (2, 3), (4, 4), (13, 40), (40, 13), (63, 65), (200, 33)])
 def test_equals_textbook_recurrence_bit_for_bit(n, m, dimension):

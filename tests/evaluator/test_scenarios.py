@@ -44,10 +44,6 @@ def replays(scenario: Scenario, count: int, *, controller: str = "basic", C: flo
     ]
 
 
-def rate(logs: list[EpisodeLog]) -> float:
-    return float(np.mean([log.outcome == Outcome.COLLISION for log in logs]))
-
-
 @pytest.mark.parametrize("scenario", [RIGHT_TURN, WITH_BOX, TURN_WITH_BOX], ids=["turn", "box", "turn with a box"])
 def test_what_ran_is_believed_and_what_did_not_is_not(scenario: Scenario) -> None:
     logs = replays(scenario, 12, C=0.5) + replays(scenario, 4, C=1.15)

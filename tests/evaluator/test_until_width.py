@@ -26,10 +26,6 @@ from stages import rate
 PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)
 
 
-def silent(_label: str, _done: int, _total: int) -> None:
-    pass
-
-
 def until(wanted: float, plan: Plan = PLAN) -> tuple[Assessment, list[Trajectory]]:
     runner = InProcessRunner(1)
     found = sequential.run(Context(runner, runner, (Objective.DEVIATION,), until_width=wanted), Assessment(plan))
