@@ -135,16 +135,22 @@ def sizes_for_width(
 
 
 def sizes_for_power(
-    difference: float, wanted: float, between: float, within: float, *, paired: bool, counts: Sequence[int] = COUNTS
+    difference: float,
+    least_power: float,
+    between: float,
+    within: float,
+    *,
+    paired: bool,
+    counts: Sequence[int] = COUNTS,
 ) -> list[Size]:
-    """Return for each number of trials the least number of φ that tells a difference with the power wanted."""
+    """Return for each number of trials the least number of φ that shows a difference with this power."""
 
     def found(safe: int, trials: int) -> Size:
         samples = 1 if paired else 2
         wide = expected_width(samples * between, samples * within, safe, trials)
         return Size(safe, trials, wide, power(difference, between, within, safe, trials, paired=paired))
 
-    return _least(counts, found, lambda size: size.power is not None and size.power >= wanted)
+    return _least(counts, found, lambda size: size.power is not None and size.power >= least_power)
 
 
 def _least(counts: Sequence[int], found: Callable[[int, int], Size], enough: Callable[[Size], bool]) -> list[Size]:
@@ -267,10 +273,10 @@ class UntilWidth:
         }
 
 
-def narrow_enough(found: Clustered | None, wanted: float) -> bool:
-    """Return whether an interval is as narrow as wanted. One without any width is luck, and says nothing."""
-    width = _width(found)
-    return width is not None and 0.0 < width <= wanted
+def narrow_enough(found: Clustered | None, width: float) -> bool:
+    """Return whether an interval is as narrow as this. One without any width is luck, and says nothing."""
+    found_width = _width(found)
+    return found_width is not None and 0.0 < found_width <= width
 
 
 def _width(found: Clustered | None) -> float | None:

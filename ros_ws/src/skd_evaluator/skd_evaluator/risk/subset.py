@@ -29,10 +29,10 @@ from skd_evaluator.risk.crossings import CrossingModel, CrossingPlan, Crossings,
 REPLICATES: Final = 16
 PER_LEVEL: Final = 1000
 LEVELS: Final = 9
-"""At most: what is less likely than 1e-9 is not told from 0."""
+"""At most: what is less likely than 1e-9 is taken for 0."""
 SHARE: Final = 10
 """One of so many crossings is kept for the next level."""
-_STEP, _WANTED = 0.5, 0.44  # first step of the moves; share of them that should be accepted
+_STEP, _ACCEPTED = 0.5, 0.44  # first step of the moves; share of them that should be accepted
 _MOVED = (1.0, 1.0, 1.0), (0.5, 0.12, 0.05)
 """Shares of the normals that moves of each kind change: the walker's of each tick, the car's, and the car's start.
 
@@ -117,7 +117,7 @@ def levels_of(crossing_plan: CrossingPlan, model: CrossingModel, scale: float, e
             crossings, after, share = _next(*parts[-1], threshold, kind, step[kind], crossing_plan, model, scale, rng)
             parts.append((crossings, after))
             tries = sum(_kind(one) == kind for one in range(1, turn + 1))
-            step[kind] = min(0.999, step[kind] * math.exp((share - _WANTED) / math.sqrt(tries)))
+            step[kind] = min(0.999, step[kind] * math.exp((share - _ACCEPTED) / math.sqrt(tries)))
         thresholds.append(threshold)
         steps.append((step[0], step[1]))
         now, ends = Crossings.together([one for one, _ in parts]), Ends.together([one for _, one in parts])

@@ -296,9 +296,7 @@ def check_figure(name: str) -> None:
 
 
 def _fits(words: list[str], pattern: list[str]) -> bool:
-    return len(words) == len(pattern) and all(
-        wanted in (_ANY, word) for word, wanted in zip(words, pattern, strict=True)
-    )
+    return len(words) == len(pattern) and all(one in (_ANY, word) for word, one in zip(words, pattern, strict=True))
 
 
 def _filled(pattern: str, words: list[str]) -> str:

@@ -186,7 +186,7 @@ def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[st
                 raise UsageError(f"{folder}: {line}: they are not of one assessment")
     if count != len(stored.safe):
         raise UsageError(f"{folder / ASSESSMENT}: is of {count} φ, and {EPISODES} beside it of {len(stored.safe)}")
-    remark = f"{folder}: has no {MANIFEST}: that a file was changed cannot be told"
+    remark = f"{folder}: has no {MANIFEST}: that a file was changed would not be seen"
     return figures, stored, () if known else (remark,)
 
 

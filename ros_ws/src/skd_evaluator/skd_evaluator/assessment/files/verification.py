@@ -245,7 +245,7 @@ def verify(folder: Path) -> Verified:
         if manifest is not None:
             found = replace(found, files=compared(folder, manifest))
         elif not (folder / _CAMPAIGN).exists():
-            found = replace(found, remarks=(f"no {MANIFEST}: that a file was changed cannot be told",))
+            found = replace(found, remarks=(f"no {MANIFEST}: that a file was changed would not be seen",))
         if (folder / _CAMPAIGN).exists():
             found = replace(found, problems=_rows_that_differ(folder))
         if (folder / ASSESSMENT).exists() or ASSESSMENT in (manifest or {}):

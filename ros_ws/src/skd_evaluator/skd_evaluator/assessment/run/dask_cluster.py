@@ -210,7 +210,7 @@ class DaskRunner(Workers):
             if warm_up:
                 for address, found in self._everywhere(compile_for, pickle.dumps(list(warm_up))).items():
                     if isinstance(found, Exception):
-                        raise AssessmentError(f"worker {address} cannot compile: {_told(found)}")
+                        raise AssessmentError(f"worker {address} cannot compile: {_shortened(found)}")
         inherited()
 
     def _connect(self) -> None:
@@ -225,7 +225,7 @@ class DaskRunner(Workers):
         try:
             self._client = distributed.Client(self._address, timeout=CONNECT_LIMIT, set_as_default=False)
         except Exception as error:
-            raise OutOfReachError(f"no Dask scheduler answers at {self._address}: {_told(error)}") from None
+            raise OutOfReachError(f"no Dask scheduler answers at {self._address}: {_shortened(error)}") from None
         self._executor = self._client.get_executor()
         self._seen = time.monotonic()
         self._look()
@@ -237,7 +237,7 @@ class DaskRunner(Workers):
         for address, theirs in self._everywhere(description).items():
             if isinstance(theirs, Exception):
                 raise UsageError(
-                    f"worker {address} cannot run SKD ({_told(theirs)}): scheduler and workers need the same "
+                    f"worker {address} cannot run SKD ({_shortened(theirs)}): scheduler and workers need the same "
                     "environment as this process"
                 )
             if different := difference(theirs, self._description):
@@ -275,7 +275,7 @@ class DaskRunner(Workers):
             call: Future[bytes] = self._executor.submit(work_on, setting, task)
         except Exception as error:
             self._check()
-            raise OutOfReachError(f"the Dask scheduler {self._address} takes no work: {_told(error)}") from error
+            raise OutOfReachError(f"the Dask scheduler {self._address} takes no work: {_shortened(error)}") from error
         return call
 
     def _unpacked(self, found: bytes) -> Done:
@@ -308,7 +308,7 @@ class DaskRunner(Workers):
             try:
                 self._addresses = list(self._client.nthreads(callback_timeout=CONNECT_LIMIT))
             except Exception as error:
-                raise OutOfReachError(f"the Dask scheduler {self._address} is gone: {_told(error)}") from None
+                raise OutOfReachError(f"the Dask scheduler {self._address} is gone: {_shortened(error)}") from None
             if self._addresses:
                 self._seen = time.monotonic()
 
@@ -334,7 +334,7 @@ class DaskRunner(Workers):
             client.close(timeout=_LOOK)
 
 
-def _told(error: BaseException) -> str:
+def _shortened(error: BaseException) -> str:
     """Return what an exception says, in one line that is not too long."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
