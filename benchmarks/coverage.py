@@ -180,7 +180,7 @@ def print_coverage(rows: Sequence[dict[str, Any]]) -> None:
 
 def print_stopping(rows: Sequence[dict[str, Any]]) -> None:
     """Print a line for each population, width and rule."""
-    print("\n| population | wanted (m) | rule | held | φ, mean | reached |\n|---|---|---|---|---|---|")
+    print("\n| population | requested width (m) | rule | held | φ, mean | reached |\n|---|---|---|---|---|---|")
     for row in rows:
         print(
             f"| {Path(row['population']).name} | {row['wanted']:.3f} | {row['rule']} | {100 * row['held']:.1f} | "

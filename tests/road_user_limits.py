@@ -36,7 +36,7 @@ _ROUNDING = 1e-6
 
 
 def beyond(kind: str, path: FloatArray, way: FloatArray, step: float, heading: float = 0.0) -> float:
-    """Return by how much the worst step of a way is beyond the limits in docs/decisions.md, m/s² or rad.
+    """Return by how much the worst step of a way is beyond the limits in docs/decisions.md (4), m/s² or rad.
 
     Args:
         kind: of road user.

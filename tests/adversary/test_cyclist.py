@@ -29,7 +29,7 @@ from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 SCENARIO = load_scenario("cyclist")
-ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md has them
+ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md (4) has them
 LIMITS = CYCLIST.parameters(SCENARIO)["own_limits"]
 ridden, nearest_ridden = (partial(kernel, LIMITS) for kernel in (road_users.ridden, road_users.nearest_ridden))
 STEP, MOST = SCENARIO.time_step, SCENARIO.adversary.speed

@@ -24,7 +24,6 @@ from packaging_support import check_command
 
 NOT_RUN = {  # of a command as it stands: why it is not run here
     r"git clone|sudo apt|.* -m pip |pip-audit|cyclonedx-py|colcon|docker": "changes the machine, or needs the network",
-    r"ssh-keygen": "needs a key of the reader",
     r"ros2": "needs a sourced ROS 2: tests/packaging/test_launch_files.py has it where there is one",
     r".* --graph": "four processes: tests/graph/test_vendor_controller.py runs those that need no stack of others",
     r"scripts/(run-node|assess-controller|replay-logs)": "the same",

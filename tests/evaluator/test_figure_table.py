@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, FIGURES, OF_OBJECTIVES, OF_PHI, Of, shown_in
+from skd_evaluator.assessment.files.assessment_json import assessment_schema
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -39,6 +42,20 @@ def test_a_result_has_the_rows_of_the_table_and_no_others(result):
         assert {key for row in objective["per_safe_trajectory"] for key in row} == set(OF_PHI)
     at_the_top = {one.key for one in FIGURES if one.of is Of.PHI_TOP}
     assert {key for row in figures["per_safe_trajectory"] for key in row} == set(OF_PHI) | at_the_top
+
+
+def without_description(node: Any, path: str) -> Iterator[str]:
+    for key, one in node.get("properties", {}).items():
+        if not one.get("description"):
+            yield f"{path}.{key}"
+    for key, one in node.items():
+        for inside in one if isinstance(one, list) else [one]:
+            if isinstance(inside, dict):
+                yield from without_description(inside, f"{path}.{key}")
+
+
+def test_the_schema_says_what_every_key_is():
+    assert list(without_description(assessment_schema(), "")) == []
 
 
 def test_what_is_shown_to_people_has_a_name_and_a_figure_behind_it(result):

@@ -74,7 +74,7 @@ SEARCH: Final = PlannerOptions(
     keep_tree=True,
 )
 """Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
-hit is a matter of one good action at the right time, which a mean over all that was tried hides. docs/decisions.md."""
+hit is a matter of one good action at the right time, which a mean over all actions hides: docs/decisions.md (1)."""
 
 
 def kernels_of(part: Any, name: str, parts: Mapping[str, Any]) -> dict[str, Any]:

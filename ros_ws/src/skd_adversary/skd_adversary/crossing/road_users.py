@@ -4,7 +4,7 @@ The pedestrian moves at one speed or stays (paper, "Safe Trajectories"). Walkers
 their velocity changes by so much a tick at most. Both have the pedestrian's six actions, which say where they want to
 go. Who is on wheels is a box that moves where it points. It keeps heading and speed from tick to tick; each tick it
 brakes, keeps its speed or speeds up, and steers left, not at all or right, the faster the less. Where the limits are
-from: docs/decisions.md. Kinds of installed packages are registered (`skd_sim.scenario.road_user`).
+from: docs/decisions.md (4). Kinds of installed packages are registered (`skd_sim.scenario.road_user`).
 """
 
 from __future__ import annotations
@@ -459,7 +459,7 @@ def wheeled(
 
 
 # --- the kinds that there are: those on foot weigh as the dummies Hybrid III of a man and of a child of six, and a man
-# rides the others. Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m). Limits: docs/decisions.md.
+# rides the others. The fastest runner has reached 12.4 m/s (U. Bolt, 2009). Limits: docs/decisions.md (4).
 
 PEDESTRIAN: Final = RoadUserModel(
     "pedestrian", _PEDESTRIAN_KERNELS, _no_parameters, 12.0, height=1.8, mass=78.0, names=_names("pedestrian")

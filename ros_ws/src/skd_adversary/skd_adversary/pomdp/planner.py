@@ -13,7 +13,7 @@ A node's value is the mean over all that was tried there, as published: where le
 of an action's means is their optimism, and "ask later" always looks better than to ask. A new node's first try is the
 default policy's.
 
-`play` runs an episode in closed loop: decide, act, observe, update the belief. docs/decisions.md says why this planner.
+`play` runs an episode in closed loop: decide, act, observe, update the belief. Why this planner: docs/decisions.md (1).
 """
 
 from __future__ import annotations

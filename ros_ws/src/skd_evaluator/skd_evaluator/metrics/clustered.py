@@ -434,7 +434,7 @@ class Prior:
 
 
 DISTANCES = Prior(ratio=0.02, spread=3.0, skewness=1.25)
-"""Of deviation and Fréchet distance; docs/decisions.md has where the numbers are from."""
+"""Of deviation and Fréchet distance; docs/decisions.md (9) has where the numbers are from."""
 MARGINS = Prior(ratio=0.02, spread=3.0, skewness=0.6)
 """Of margins, likewise: their φ means are less skewed."""
 PREFIXES = Prior(ratio=0.04, spread=1.5, skewness=1.25)

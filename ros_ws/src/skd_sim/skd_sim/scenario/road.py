@@ -90,7 +90,7 @@ class Road(Frozen):
     """The car's lane, straight along +y through (0, 0) or of `parts` in the order in which the car drives them; others.
 
     `origin` is how far along the parts the crossing point lies, their middle by default; there the lane leads North.
-    `friction` is relative to a dry road (1); wet asphalt has about 0.65 (docs/decisions.md). Basic cars have no tyres:
+    `friction` is relative to a dry road (1); wet asphalt about 0.65 (docs/decisions.md, 4). Basic cars have no tyres:
     with them only 1 is accepted. `lanes` are those that the car is not on.
     """
 

@@ -36,7 +36,7 @@ def _list(items: Schema) -> dict[str, Any]:
 
 
 def _clusterings(rows: Iterable[table.Figure]) -> dict[str, Any]:
-    return _object(**{one.key: or_null(ref("clustering")) for one in rows if one.clustered})
+    return _object(**{one.key: _said(or_null(ref("clustering")), f"of {one.key}") for one in rows if one.clustered})
 
 
 def _pair(says: str, end: str) -> dict[str, Any]:
@@ -45,6 +45,78 @@ def _pair(says: str, end: str) -> dict[str, Any]:
 
 def _said(schema: Schema, says: str) -> dict[str, Any]:
     return {**schema, "description": says}
+
+
+_SAYS = {
+    "speeds": {"mean": "m/s", "p90": "90 % quantile, m/s"},
+    "aborted_reason": {"count": "episodes", "first": "reason of the first of them"},
+    "commands_clipped": {"commands": "how many", "episodes": "in how many episodes"},
+    "command_age": {
+        "median": "s", "p99": "99 % quantile, s", "worst": "s", "control_periods": "how many there were",
+        "held": "control periods without a new command", "greatest_delay": "of the simulator behind the clock, s"},
+    "measure": {
+        "label": "name in tables", "unit": "of mean and intervals", "shown": "whether tables have it",
+        "mean": "over the pairs, in its unit", "ci95_pairs": "95 % interval, pairs taken as independent",
+        "ci95": "95 % interval over φ", "pairs": "in which it is defined", "undefined": "pairs in which it is not",
+        "error": "why it could not be computed; null: it was"},
+    "risk": {
+        "name": "of the behaviour model", "kind": "of road user", "description": "in words",
+        "parameters": "of the behaviour model, by name",
+        "value": "probability of a hit by the front; of a parameter, as in its file", "source": "of the value",
+        "interval_95": "95 % interval of the parameter",
+        "scales": "each scale s", "ci95_by_phi": "95 % interval over φ", "method": "crude, or subset simulation",
+        "episodes": "crossings, of all kinds", "aborted": "crude crossings that were aborted", "note": "what to heed",
+        "runs": "crude crossings", "kinds": "what walkers did, the most frequent first", "hits": "crossings",
+        "share": "of the hits", "nearest": "the most likely of them", "safe_trajectory": "number of φ, from 0",
+        "trial": "number of the crossing on it"},
+    "price_of_caution": {"aborted": "runs that were aborted", "runs": "each run"},
+    "clustering": {
+        "safe_trajectories": "φ with values", "values": "how many", "standard_error": "of the mean, by φ",
+        "degrees_of_freedom": "of it", "variance_between": "between φ, squared unit of the figure",
+        "variance_within": "within φ, squared unit of the figure", "intraclass_correlation": "share between φ",
+        "notes": "what to heed"},
+    "margin_source": {"source": "name", "candidates": "that it brought"},
+    "until_width": {
+        "reached": "whether the interval is narrow enough", "text": "in words", "most_looks": "at most so many looks",
+        "confidence": "of each look's interval", "looks": "each look", "safe_count": "φ by then",
+        "deviation": "planned deviation by then, m", "interval": "of it, over φ, m"},
+    "static_test": {"touched": "whether there was a contact", "aborted": "why it was aborted; empty: it was not"},
+    "safe_trajectory": {
+        "deviation": "mean planned deviation on φ, m", "deviation_of_successes": "of the trials with a hit, m",
+        "skd": "mean discrete Fréchet distance, m", "skd_prefix": "mean prefix distance, m", "pairs": "pairs (φ, ψ)"},
+    "curve": {
+        "eta_max": "m", "trials": "aborted ones left out", "steps": "the whole curve", "eta": "deviation, m",
+        "probability": "share of the trials with a hit within eta", "points": "the curve at some eta, with intervals",
+        "ci95_trials": "Wilson's 95 % interval, trials taken as independent", "ci95": "95 % interval over φ",
+        "bound": "Theorem 1's upper bound", "cantelli": "Cantelli's upper bound"},
+    "surrogate_measure": {"median": "in the measure's unit", "worst": "in the measure's unit"},
+    "surrogates": {"depends_on": "car, road user or both"},
+    "surrogate_measures": {"along_phi": "of the runs along φ"},
+    "vulnerability_curve": {
+        "kamikazes": "of planned kamikazes", "budgets": "kamikazes bounded by eta", "eta": "bound, m",
+        "probability": "share of the trials with a hit within eta", "ci95_trials": "Wilson's 95 % interval",
+        "successes": "trials with a hit within eta", "aborted": "episodes", "margins": "null: not known"},
+    "provenance": {
+        "host": "name of the machine", "platform": "operating system and processor", "python": "its version",
+        "revision": "commit", "path": "of the file", "sha256": "of the file"},
+}  # fmt: skip
+"""What the keys within each definition are, where the definition itself does not say it."""
+_SAYS["safe_trajectory_of_objective"] = _SAYS["safe_trajectory"]
+
+
+def _described(node: Any, says: Mapping[str, str]) -> Any:
+    """Return a schema each of whose keys has a description."""
+    if isinstance(node, list):
+        return [_described(one, says) for one in node]
+    if not isinstance(node, Mapping):
+        return node
+    found = {key: _described(value, says) for key, value in node.items() if key != "properties"}
+    if "properties" in node:
+        keys = {key: _described(one, says) for key, one in node["properties"].items()}
+        found["properties"] = {
+            key: {"description": says[key], **one} if key in says else one for key, one in keys.items()
+        }
+    return found
 
 
 def _definitions() -> dict[str, Any]:
@@ -65,11 +137,23 @@ def _definitions() -> dict[str, Any]:
         "aborted_reason": _object(count={"type": "integer", "minimum": 1}, first=_TEXT),
         "commands_clipped": _object(commands=_COUNT, episodes=_COUNT),
         "simulator_contacts": _object(
-            both=_said(_COUNT, "episodes in which both say that the car touched a road user"),
-            geometry_alone=_said(_COUNT, "in which SKD's geometry alone says so"),
-            simulator_alone=_said(_COUNT, "in which the simulator's shapes alone say so"),
-            episodes=_said(_COUNT, "episodes in which both say something; aborted ones left out"),
-            greatest_gap=_said(_FIGURE, "greatest time between the two, where both say so, s")),
+            both=_said(_COUNT, "episodes in which both see a contact"),
+            geometry_alone=_said(_COUNT, "in which SKD's geometry alone does"),
+            simulator_alone=_said(_COUNT, "in which the simulator's shapes alone do"),
+            episodes=_said(_COUNT, "episodes that were compared; aborted ones left out"),
+            greatest_gap=_said(_FIGURE, "greatest time between the two contacts, s")),
+        "simulation": {"type": "object", "properties": {
+            "version": _said(_TEXT, "of the simulator"),
+            "physics_step": _said(_NUMBER, "s"),
+            "mass": _said(_NUMBER, "of the car, kg"),
+            "wheel_friction": _said(_NUMBER, "coefficient of friction of a wheel"),
+            "limits": _said(_list(_NUMBER), "least and greatest acceleration along the car's heading, m/s²"),
+            "pedals": {
+                "type": "object", "description": "acceleration along the heading by pedal position, as measured, m/s²",
+                "properties": {
+                    "brake": _said(_list(_list(_NUMBER)), "pairs of position, 0 to 1, and acceleration, m/s²"),
+                    "throttle": _said(_list(_list(_NUMBER)), "pairs of position, 0 to 1, and acceleration, m/s²"),
+                    "coasting": _said(_NUMBER, "acceleration without a pedal, m/s²")}}}},
         "command_age": _object(
             **{name: {"type": "number", "minimum": 0} for name in ("median", "p99", "worst")},
             control_periods={"type": "integer", "minimum": 1}, held=_COUNT, greatest_delay={"type": "number"}),
@@ -131,9 +215,9 @@ def _definitions() -> dict[str, Any]:
             looks=_list(_object(safe_count=_COUNT, deviation=_FIGURE, interval=_BETWEEN))),
         "static_test": _object(
             place=_said(_NUMBER, "% of the car's width"), touched=_FLAG,
-            target=_said(_FLAG, "whether the target was touched, and no other"),
+            target=_said(_FLAG, "whether the target was touched, and no other road user"),
             impact_speed=_said(_NUMBER, "of the car, m/s; 0 without a contact"),
-            speed_ahead=_said(_NUMBER, "of the target, the way that the car points, m/s"),
+            speed_ahead=_said(_NUMBER, "of the target, along the car's heading, m/s"),
             fastest=_said(_NUMBER, "greatest speed of the car, m/s"),
             braking_ttc=_said(_FIGURE, "time to collision when the car began to brake, s"), aborted=_TEXT),
         "safe_trajectory": _object(**of_phi, **at_the_top),
@@ -188,7 +272,7 @@ def assessment_schema() -> dict[str, Any]:
         "description": "Figures of one car. Lengths in m, times in s, angles in rad; what cannot be computed is null.",
         **figures,
         "properties": {"interrupted": interrupted, **figures["properties"]},
-        "$defs": _definitions(),
+        "$defs": {name: _described(one, _SAYS.get(name, {})) for name, one in _definitions().items()},
     }
 
 
