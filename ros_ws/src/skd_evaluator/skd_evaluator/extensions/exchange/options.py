@@ -42,7 +42,7 @@ def add_import(commands: Any) -> None:
         help="import trajectories from OpenSCENARIO, OSI, CommonRoad, CSV or bags",
         description="Import a road user's trajectory, check its rate, gaps and frame, and write it as csv that --safe "
         "reads. Files: OpenSCENARIO XML, ASAM OSI (MCAP), CommonRoad XML, csv (also of inD and rounD), "
-        "recordings of ROS, and folders of such (docs/exchange.md).",
+        "recordings of ROS, and folders of such (docs/logs.md).",
     )
     text = "a file, a bag's folder, or a folder of files"
     taken.add_argument("paths", type=Path, nargs="+", metavar="PATH", help=text)
