@@ -43,7 +43,7 @@ def test_text_is_utf_8_with_or_without_a_mark(tmp_path: Path) -> None:
         read_text(path)
 
 
-@pytest.mark.parametrize("text", ["0x10", "1,5", "", "nan", "inf"])
+@pytest.mark.parametrize("text", ["0x10", "1,5", "1_0", "", "nan", "inf"])
 def test_a_number_in_a_table_is_finite(text: str) -> None:
     with pytest.raises(UsageError, match=r"^x must be (a number|finite), got"):
         finite_number(text, "x")

@@ -356,8 +356,11 @@ def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] =
             form = "a moving frame" if moves else "a fixed frame"
             found.append(Listed(f"{topic}:{child}", form, len(times), times if moves else times[:0], parents))
     for topic, kind in sorted(bag.topics.items()):
-        if kind not in (*_READ, _TRANSFORMS) and (not topics or topic in topics):
-            found.append(Listed(topic, kind, bag.counts[topic], np.zeros(0), why="of a type that is not read"))
+        known = kind in (*_READ, _TRANSFORMS)
+        why = "none of its messages can be read" if known else "of a type that is not read"
+        read = topic in bag.rows or topic.removesuffix("_static") in bag.trees
+        if not read and bag.counts[topic] >= known and (not topics or topic in topics):
+            found.append(Listed(topic, kind, bag.counts[topic], np.zeros(0), why=why))
     return found
 
 
@@ -444,7 +447,8 @@ class _Bag:
             raise UsageError(f"{faults[-1]}: nothing of {topic}")
         readable = [one for one, kind in self.topics.items() if kind in (*_READ, _TRANSFORMS)]
         some = f"it has {listed(readable)}: name them by --car and --road-user"
-        none = f"none of its {len(self.topics)} topics is of a type that is read: {', '.join(_READ)}"
+        count = len(self.topics)
+        none = f"none of its {count} topics is of a type that is read: {', '.join(_READ)}" if count else "it is empty"
         raise UsageError(f"{self.where}: has no message on {topic}; {some if readable else none}")
 
     def _rows_of_frame(self, topic: str, frame: str, map_frame: str | None) -> list[_Row]:
@@ -542,7 +546,7 @@ class _Bag:
         for note in notes:
             self._damage.warn(f"{where}: {note}")
         lost = int((~known).sum())
-        if known.sum() < 2:
+        if lost and known.sum() < 2:
             why = "; ".join(notes) or f"nothing says how {frames[0]!r} lies in {within!r}"
             raise UsageError(f"{where}: no place of it is known in {within!r}: {why}")
         if lost:

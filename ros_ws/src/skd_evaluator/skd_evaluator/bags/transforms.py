@@ -214,49 +214,35 @@ class Transforms:
         step = stamps[after] - stamps[before]
         usual = min(int(np.median(np.diff(stamps))), self._longest) if len(stamps) > 1 else 0
         inside = exact | ((at.stamps > stamps[0] - usual) & (at.stamps < stamps[-1] + usual))
-        known = np.flatnonzero(inside & (step <= self._longest) & ours[before] & ours[after])
-        self._note_holes(frame, parent, stamps, at.stamps, before, inside, step > self._longest)
+        outside, is_hole = at.stamps[~inside], step > self._longest
+        holes = [(outside[0], stamps[0])] if outside.size and outside[0] < stamps[0] else []
+        holes += [(stamps[one], stamps[one + 1]) for one in np.unique(before[inside & is_hole]).tolist()]
+        holes += [(stamps[-1], outside[-1])] if outside.size and outside[-1] > stamps[-1] else []
+        for begin, end in holes:
+            span = f"from {begin / SECOND:.2f} to {end / SECOND:.2f} s"
+            self._notes[f"nothing says how {frame!r} lies in {parent!r} {span}"] = None
+        known = np.flatnonzero(inside & ~is_hole & ours[before] & ours[after])
         first, last = rows[before[known]], rows[after[known]]
         share = ((at.stamps[known] - stamps[before[known]]) / np.maximum(step[known], 1))[:, None]
         turns = Rotation.from_quat(first[:, 3:])
         turned = turns * Rotation.from_rotvec(share * (turns.inv() * Rotation.from_quat(last[:, 3:])).as_rotvec())
         return known, Poses(first[:, :3] + share * (last[:, :3] - first[:, :3]), turned)
 
-    def _note_holes(
-        self,
-        frame: str,
-        parent: str,
-        stamps: IntArray,
-        requested: IntArray,
-        before: IntArray,
-        inside: BoolArray,
-        hole: BoolArray,
-    ) -> None:
-        """Take note of when nothing is said, as far as it is requested."""
-        spans = [(stamps[one], stamps[one + 1]) for one in np.unique(before[inside & hole]).tolist()]
-        outside = requested[~inside]
-        if outside.size and outside[0] < stamps[0]:
-            spans.insert(0, (outside[0], stamps[0]))
-        if outside.size and outside[-1] > stamps[-1]:
-            spans.append((stamps[-1], outside[-1]))
-        for begin, end in spans:
-            span = f"from {begin / SECOND:.2f} to {end / SECOND:.2f} s"
-            self._notes[f"nothing says how {frame!r} lies in {parent!r} {span}"] = None
-
     def _fixed(self, frame: str, parent: str, at: At) -> tuple[IntArray, Poses]:
         """Return the same of a fixed frame: as it was last said to lie when that was recorded, from the first on."""
         said = self._samples[frame]
         samples = sorted(said.fixed, key=lambda each: each[1])
-        rows = np.array([one[3] for one in samples])
         if any(_apart(one[3], samples[0][3]) > _SAME or one[2] != samples[0][2] for one in said.moving):
             raise UsageError(f"{self._where}: frame {frame!r} is said to be fixed (/tf_static) and to move (/tf)")
-        worst = max(samples, key=lambda one: _apart(one[3], samples[0][3]))
-        if (apart := _apart(worst[3], samples[0][3])) > _SAME:
-            self._notes[
-                f"fixed frame {frame!r} is said to lie in two ways in {parent!r}, {apart:.3g} m or rad apart (the "
-                f"second at {worst[1] / SECOND:.2f} s by the recorder): each counts from when it was said"
-            ] = None
-        logged = np.array([one[1] for one in samples], np.int64)
+        apart, second = max(((_apart(one[3], samples[0][3]), one[1]) for one in samples), key=lambda each: each[0])
+        if apart > _SAME:
+            ways = (
+                f"in two ways in {parent!r}, {apart:.3g} m or rad apart (the second at {second / SECOND:.2f} s by the"
+            )
+            self._notes[f"fixed frame {frame!r} is said to lie {ways} recorder): each counts from when it was said"] = (
+                None
+            )
+        logged, rows = np.array([one[1] for one in samples], np.int64), np.array([one[3] for one in samples])
         chosen = np.maximum(np.searchsorted(logged, at.logged, side="right") - 1, 0)
         known = np.flatnonzero(np.array([one[2] == parent for one in samples])[chosen])
         found = rows[chosen[known]].reshape(-1, 7)

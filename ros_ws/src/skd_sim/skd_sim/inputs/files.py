@@ -208,7 +208,7 @@ def finite_number(text: str, what: str) -> float:
         UsageError: it is none, or is not finite.
     """
     try:
-        value = float(text)
+        value = float(text.replace("_", "?"))  # Python takes 1_0 for 10
     except ValueError:
         raise UsageError(f"{what} must be a number, got {text[:40]!r}") from None
     if not math.isfinite(value):
