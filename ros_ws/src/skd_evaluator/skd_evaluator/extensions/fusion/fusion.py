@@ -256,105 +256,81 @@ def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedF
             f"{len(pairs.trials)} physical trials on {len(pairs.names)} φ: at least {LEAST_PAIRS} φ with trials are "
             "needed, for the interval speaks of all φ"
         )
-    y, x = pairs.physical, pairs.simulated
-    line = fitted_line(y, x)
-    if line.predicts and not figure.is_rate and not stand_for_all(x, pairs.population):
-        raise NotSaidError(
-            f"{figure.text}: nothing is said, for the φ with trials are too alike: in the simulation, which "
-            f"predicts it, its standard deviation is {np.std(x, ddof=1):.3g} {figure.unit} over them and "
-            f"{np.std(pairs.population, ddof=1):.3g} over all φ; a few other φ decide the mean: make more trials"
-        )
-    _check_shape(figure, pairs)
+    y, x, population = pairs.physical, pairs.simulated, pairs.population
+    line, is_rate, why, both = fitted_line(y, x), figure.is_rate, "", None
+    _check_spread(figure, pairs, line)
+    if line.slope is None:
+        why = "the simulator says the same of all these φ"
+    elif is_rate and not enough_of_each(pairs.groups):
+        why = f"there are fewer than {LEAST_OF_EACH} φ with a hit, or without one"
     try:
-        by_itself = _by_itself(figure, pairs, line, confidence)
-        both, why = _with_simulator(figure, pairs, line, confidence)
+        if is_rate:
+            by_itself = alone_rate(pairs.groups, confidence)
+            both = None if why else fused_rate(y, x, population, line, confidence)
+        else:
+            by_itself = alone(y, confidence, _reach(figure, pairs, line, confidence, by_line=False))
+            if not why:
+                reach = _reach(figure, pairs, line, confidence, by_line=True)
+                both = fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach)
     except NotSaidError:
         raise
     except ValueError as error:
         raise UsageError(f"{figure.text}: {error}") from error
+    saved = 0
     if not why and not line.predicts:
         why = "the simulator does not predict this figure"
-    saved = 0
-    if both is not None and not why:
-        if figure.is_rate:
-            saved = max(0, int(y.size * (by_itself.width / both.width) ** 2) - y.size)
-        else:
-            saved = trials_saved(y.size, both.width / by_itself.width, confidence)
+    elif both is not None and is_rate:
+        saved = max(0, int(y.size * (by_itself.width / both.width) ** 2) - y.size)
+    elif both is not None:
+        saved = trials_saved(y.size, both.width / by_itself.width, confidence)
     gap = gap_of(y, x, pairs.trials, pairs.predicted, confidence)
-    return FusedFigure(
-        figure,
-        pairs,
-        confidence,
-        by_itself,
-        both,
-        line,
-        gap,
-        saved,
-        why,
-        tuple(_notes(pairs, line, why, confidence, is_rate=figure.is_rate)),
-    )
+    notes = tuple(_notes(figure, pairs, line, why, confidence))
+    return FusedFigure(figure, pairs, confidence, by_itself, both, line, gap, saved, why, notes)
 
 
-def _with_simulator(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float) -> tuple[Mean | None, str]:
-    """Return the figure by both, or why there is none."""
-    y, x, population = pairs.physical, pairs.simulated, pairs.population
-    if line.slope is None:
-        return None, "the simulator says the same of all these φ"
+def _check_spread(figure: TrialFigure, pairs: Pairs, line: Line) -> None:
+    """Refuse trials on φ that are too much alike, or of a figure that a few φ decide, none of which need be among them.
+
+    Raises:
+        NotSaidError: it is so.
+    """
+    begin, x, count = f"{figure.text}: nothing is said, for", pairs.simulated, len(pairs.names)
     if figure.is_rate:
-        if not enough_of_each(pairs.groups):
-            return None, f"there are fewer than {LEAST_OF_EACH} φ with a hit, or without one"
-        return fused_rate(y, x, population, line, confidence), ""
-    reach = _reach(pairs, line, confidence, by_line=True)
-    if line.predicts:
-        _check_reach(figure, pairs, reach)
-    return fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach), ""
-
-
-def _by_itself(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float) -> Mean:
-    if figure.is_rate:
-        return alone_rate(pairs.groups, confidence)
-    reach = _reach(pairs, line, confidence, by_line=False)
-    if not line.predicts:
-        _check_reach(figure, pairs, reach)
-    return alone(pairs.physical, confidence, reach)
-
-
-def _reach(pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Reach:
-    """Return how far an interval reaches for figures of the shape of the simulated ones."""
-    off = pairs.physical - pairs.physical.mean()
-    if by_line:
-        off = off - (line.slope or 0.0) * (pairs.simulated - pairs.simulated.mean())
-    leans = skewness(pairs.shape - pairs.shape.mean()) >= 0.0
-    return rehearsed(
-        pairs.shape,
-        off.size,
-        confidence,
-        by_line=by_line,
-        mirrored=(skewness(off) >= 0.0) != leans,
-        least=least_variance(off.size) if line.predicts else 0.0,
-    )
-
-
-def _check_shape(figure: TrialFigure, pairs: Pairs) -> None:
-    """Refuse few trials of a figure that a few φ decide: none of them need be among these."""
-    if not figure.is_rate and len(pairs.names) < _FEW and kurtosis(pairs.shape) > _RARE:
+        return
+    if line.predicts and not stand_for_all(x, pairs.population):
+        few, every = (f"{np.std(one, ddof=1):.3g} {figure.unit}" for one in (x, pairs.population))
         raise NotSaidError(
-            f"{figure.text}: nothing is said, for a few φ decide the mean, by the simulation (kurtosis "
-            f"{kurtosis(pairs.shape):.0f}; normal figures have 3), and {len(pairs.names)} φ with trials need not "
+            f"{begin} the φ with trials are too alike (simulated standard deviation {few}, over all φ {every}): make "
+            "more trials"
+        )
+    if count < _FEW and kurtosis(pairs.shape) > _RARE:
+        raise NotSaidError(
+            f"{begin} a few φ decide the mean (simulated kurtosis {kurtosis(pairs.shape):.0f}), and {count} φ need not "
             f"have any of them: make trials on at least {_FEW} φ"
         )
 
 
-def _check_reach(figure: TrialFigure, pairs: Pairs, reach: Reach) -> None:
-    if reach.further > _MOST_REACH:
+def _reach(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Reach:
+    """Return how far an interval reaches for figures of the shape of the simulated ones.
+
+    Raises:
+        NotSaidError: too far, in the interval that would stand.
+    """
+    off = pairs.physical - pairs.physical.mean()
+    if by_line:
+        off = off - (line.slope or 0.0) * (pairs.simulated - pairs.simulated.mean())
+    leans = skewness(pairs.shape - pairs.shape.mean()) >= 0.0
+    mirrored, least = (skewness(off) >= 0.0) != leans, least_variance(off.size) if line.predicts else 0.0
+    reach = rehearsed(pairs.shape, off.size, confidence, by_line=by_line, mirrored=mirrored, least=least)
+    if line.predicts == by_line and reach.further > _MOST_REACH:
         raise NotSaidError(
             f"{figure.text}: nothing is said, for the simulated figures are so skewed over φ that {len(pairs.names)} "
-            f"trials do not tell the mean of such: an interval that holds would reach more than {_MOST_REACH:g} times "
-            "as far as that of normal figures: make more trials"
+            "trials do not tell the mean of such: make more trials"
         )
+    return reach
 
 
-def _notes(pairs: Pairs, line: Line, why_alone: str, confidence: float, *, is_rate: bool) -> list[str]:
+def _notes(figure: TrialFigure, pairs: Pairs, line: Line, why_alone: str, confidence: float) -> list[str]:
     found = []
     if not pairs.timed:
         found.append("the timing of physical trials is not known: pairs are of the same φ alone")
@@ -365,8 +341,8 @@ def _notes(pairs: Pairs, line: Line, why_alone: str, confidence: float, *, is_ra
             f"only {pairs.population.size} simulated φ for {len(pairs.names)} physical ones: more would narrow the "
             "interval"
         )
-    if not is_rate:
-        reach = _reach(pairs, line, confidence, by_line=not why_alone).further
+    if not figure.is_rate:
+        reach = _reach(figure, pairs, line, confidence, by_line=not why_alone).further
         if reach > _FELT:
             found.append(
                 f"the simulated figures are skewed over φ: the interval reaches up to {reach:.1f} times as far as that "
