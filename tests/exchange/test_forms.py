@@ -173,7 +173,7 @@ def test_what_openscenario_does_not_say_is_named_and_spoils_nobody_else(tmp_path
     with pytest.raises(UsageError) as caught:
         track(xosc(tmp_path, board))
     assert says in str(caught.value)
-    with pytest.raises(UsageError, match="has nobody whose track is read: 'Walker'"):
+    with pytest.raises(UsageError, match="has no object whose track is read: 'Walker'"):
         track(tmp_path / "a.xosc", None)
     other = track(xosc(tmp_path, board + follows(f"<Polyline>{LINE}</Polyline>", "Other")), "Other")
     assert len(other.times) == 5

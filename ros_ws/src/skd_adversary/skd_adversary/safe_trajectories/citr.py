@@ -110,7 +110,7 @@ def read_clips(path: str | Path) -> list[Clip]:
 
     Raises:
         UsageError: no such folder, no files of the dataset in it, one of a clip's two files is missing, or a
-            file is malformed, or has somebody who cannot have moved so or who is there twice: one line that names the
+            file is malformed, or has a track that cannot be, or one twice: one line that names the
             file and, where there is one, the line number.
     """
     folder = Path(path)

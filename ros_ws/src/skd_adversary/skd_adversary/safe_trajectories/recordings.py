@@ -16,13 +16,13 @@ from skd_sim.inputs.files import finite_number, open_regular
 from skd_sim.inputs.yaml_file import short
 
 LONGEST_HOLE: Final = 0.6
-"""s without a row, up to which a straight line says where somebody was."""
+"""s without a row, up to which a straight line says where a pedestrian was."""
 _LEAP: Final = 0.5
 """m by which a row may be off what the velocities before and at it give; filtered tracks of CITR are 0.17 m off."""
 _LEAST_LENGTH: Final = 2.0
 """m, from which on a path shows in which units and which direction it is."""
 _LEAST_POSITIONS: Final = 3
-"""Positions at the least by which somebody is told from others."""
+"""Positions at the least by which a track is told from others."""
 _JITTER = 0.05
 """m that a sensor may be off from one row to the next: at many rows a second that is no speed."""
 

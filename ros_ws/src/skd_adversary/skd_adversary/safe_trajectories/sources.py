@@ -20,7 +20,7 @@ from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.recordings import check_once, read_table, resample, too_fast
 
-_log = logging.getLogger(__name__)  # whose warnings Python prints where nobody has said otherwise
+_log = logging.getLogger(__name__)  # whose warnings Python prints by default
 _MOST_NAMED = 5
 _COLUMNS = {"t": 1e12, "x": 1e6, "y": 1e6}
 

@@ -147,8 +147,8 @@ def missing_episodes(
     """Return which episodes the campaign must have had beside those that are recorded, a line each.
 
     Trials are numbered from 0 without gaps, and every φ is tried until as many have collided as for the others or a
-    cap is reached (`skd_evaluator.assessment.plan`). If the last trials of every φ are missing alike, nobody can
-    tell.
+    cap is reached (`skd_evaluator.assessment.plan`). If the last trials of every φ are missing alike, that cannot
+    be seen.
 
     Args:
         announced: ids of the episodes that the recordings mention, however they ended; kamikazes of one objective only.

@@ -27,7 +27,7 @@ _NOT_READ = (*(f"{one}{packed}" for one in STORAGES for packed in (".lz4", ".gz"
 _PATHS = re.compile(r"^ *relative_file_paths:.*(?:\n *- .*)*", re.MULTILINE)
 _NUMBERED = re.compile(r"(.*?)[_-]?(\d+)")
 _FOLLOWS = 0.5  # s from the last message of a file to the first of the next that goes on with it
-_NEAR = 30.0  # s from which on nobody takes two recordings for one
+_NEAR = 30.0  # s from which on two recordings are not taken for one
 
 
 def is_recording(path: Path) -> bool:
@@ -177,7 +177,7 @@ def _check_metadata(file: Path, damage: Damage) -> None:
         names = [str(name) for name in names]
     except (UsageError, yaml.YAMLError, LookupError, TypeError) as error:
         said = type(error).__name__
-        damage.warn(f"{file}: cannot be read ({said}): nobody knows which files belong to this bag")
+        damage.warn(f"{file}: cannot be read ({said}): which files belong to this bag is unknown")
         return
     for name in names:
         # Recorders of before wrote the folder's own name, too; a file may have been packed or unpacked since.

@@ -146,7 +146,7 @@ class Track:
         return ""
 
     def gap(self, longest: float) -> str:
-        """Its longest step, if that is longer than a limit (s) or nobody's, in words; empty otherwise."""
+        """Its longest step, if that is longer than a limit (s) or than any sensor's, in words; empty otherwise."""
         steps = np.diff(self.times)
         usual, row = float(np.median(steps)), int(np.argmax(steps))
         if self.drawn:

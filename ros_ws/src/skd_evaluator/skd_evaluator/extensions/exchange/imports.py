@@ -34,7 +34,7 @@ from skd_evaluator.version import version
 SAFE = "safe"
 """Folder of the trajectories, in that of the result."""
 _SHOWN = 20
-_ON_FOOT = 12.5  # m/s, faster than anybody runs
+_ON_FOOT = 12.5  # m/s, faster than any pedestrian runs
 _LEAST_DRIVE = 0.5  # m that a car moves, or it has no direction
 _FARTHEST_ASIDE = 2.0  # m
 
@@ -282,7 +282,7 @@ def trajectory_of(
 
 
 def _too_fast(track: Track) -> str:
-    """Return how a pedestrian goes for whole seconds as nobody can, in words; empty where not."""
+    """Return how a pedestrian is too fast for a whole second, in words; empty where not."""
     if "pedestrian" not in track.kind.lower() or track.times[-1] - track.times[0] < 1.0:
         return ""
     at = track.times[track.times <= track.times[-1] - 1.0]

@@ -194,7 +194,7 @@ def write_osi(path: Path, recorded: ExportedEpisode) -> None:
     channel = {
         "net.asam.osi.trace.channel.osi_version": version,
         "net.asam.osi.trace.channel.protobuf_version": protobuf,
-        "net.asam.osi.trace.channel.description": "everybody who is in the scenario",
+        "net.asam.osi.trace.channel.description": "all road users and obstacles",
     }
     writer = osi_writer()()
     if not writer.open(path, about):

@@ -151,7 +151,7 @@ def _is_safe(path: Path) -> bool:
 
 
 def listing(files: Sequence[Path], damage: Damage, topics: Collection[str] = ()) -> list[Listed]:
-    """Return what a file, or the files of a recording, hold: everybody, whether read or not.
+    """Return what a file, or the files of a recording, hold: every object, whether read or not.
 
     Args:
         files: as `files_in` returns them.
@@ -190,7 +190,9 @@ def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage |
         return [TrackSource(f"{path.stem}_{one.name}", path, form, one, None) for one in cut]
     others = [one for one in found if one.name != usual[0]] if request.road_user is None else found
     if found and not others:
-        raise UsageError(f"{path}: has nobody beside {usual[0]!r}, who is taken for the car: name one by --road-user")
+        raise UsageError(
+            f"{path}: has no object beside {usual[0]!r}, which is taken for the car: name one by --road-user"
+        )
     user = _one_of(others, request.road_user, usual[1], "--road-user", path)
     car = _one_of(found, request.car or usual[0], usual[0], "--car", path) if request.needs_car else None
     return [TrackSource(_OSI_NAME.sub("", path.stem), path, form, user.cut(*ends), car and car.cut(*ends))]
@@ -199,7 +201,7 @@ def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage |
 def _objects_in(
     path: Path, request: ImportRequest, damage: Damage, *, every: bool = False
 ) -> tuple[str, list[Track | Listed], tuple[str, str]]:
-    """Return what a file is, everybody in it, and the usual names of car and road user."""
+    """Return what a file is, its objects, and the usual names of car and road user."""
     suffix, usual = path.suffix.lower(), (EGO, ADVERSARY)
     if suffix == TRACE or is_recording(path):
         return "OSI ground truth", read_osi(path, damage), usual
@@ -227,7 +229,7 @@ def _one_of(found: Sequence[Track | Listed], name: str | None, usual: str, optio
             why = "; ".join(
                 f"{one.name!r} ({one.form}): {one.why}" for one in list(found)[:3] if isinstance(one, Listed)
             )
-            raise UsageError(f"{path}: has nobody whose track is read: {why}")
+            raise UsageError(f"{path}: has no object whose track is read: {why}")
         raise UsageError(f"{path}: has {listed(read)}: name one by {option}")
     one = known.get(usual if name is None else name) or next(iter(read.values()))
     if isinstance(one, Listed):

@@ -22,7 +22,7 @@ OTHER, OBSTACLE = "Other_{}", "Obstacle_{}"
 ROAD_FILE = "road.xodr"
 EXPORT, IMPORT = "export.json", "import.json"
 SOURCE = "skd.role"
-"""Type of OSI's external references that say whom an object is."""
+"""Type of OSI's external references that say which road user an object is."""
 EGO_ID, ADVERSARY_ID, FIRST_OTHER_ID = 1, 2, 3
 """Ids of OSI and CommonRoad; the others follow in the scenario's order, then the obstacles."""
 
@@ -32,7 +32,7 @@ _CAR = Body(kind=CAR, length=4.5, width=1.8)  # formats ask for its kind alone
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """Somebody or something on the road.
+    """A road user or an obstacle.
 
     Attributes:
         name: what files call it.
@@ -106,7 +106,7 @@ class ExportedEpisode:
 
 
 def actors_of(scenario: Scenario, course: EpisodeMotion, *, with_car: bool) -> tuple[Actor, ...]:
-    """Return everybody in an episode.
+    """Return all road users and obstacles of an episode.
 
     Args:
         scenario: road and shapes.
@@ -146,7 +146,7 @@ def _moving(name: str, number: int, body: Body, times: FloatArray, places: Float
 def pointing(body: Body, velocity: FloatArray) -> FloatArray:
     """Return where a body points at each moment (rad), by its velocities then, n × 2, m/s.
 
-    Formats want a heading of everybody: a disc, which points nowhere, looks where it goes, and before it goes where it
+    Formats want a heading of all: a disc, which points nowhere, looks where it goes, and before it goes where it
     will.
     """
     moves = np.flatnonzero((velocity != 0.0).any(axis=1))
@@ -205,4 +205,4 @@ def lanes_of(recorded: ExportedEpisode) -> list[DrawnLane]:
 
 
 _BEYOND = 50.0
-"""m of road before and behind everybody."""
+"""m of road before and behind all road users."""

@@ -1,6 +1,6 @@
 """Writes episodes as ASAM OpenSCENARIO XML 1.2 or CommonRoad XML 2020a, and roads as ASAM OpenDRIVE 1.8.
 
-OpenSCENARIO: everybody on a polyline with a time at each vertex. An entity's origin is SKD's reference point; its
+OpenSCENARIO: road users on polylines with a time at each vertex. An entity's origin is SKD's reference point; its
 bounding box says where the body is around it. Vertices are the states at ticks and that at the contact.
 
 OpenDRIVE: the reference line is the middle of the car's lane. A lane offset moves the lanes' zero to the left edge of

@@ -106,7 +106,7 @@ def calibrated(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
 
 _OFF_SPEED = 0.08
 """Share by which a trial's first speed may differ from the scenario's: beyond, it was another test."""
-_NO_CONTACT = 60.0  # m/s: nobody ends a run, so that the whole recording can be compared
+_NO_CONTACT = 60.0  # m/s: no contact ends a run, so that the whole recording can be compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +236,7 @@ Off = Callable[[Mapping[str, float]], list[FloatArray]]
 POOR = 0.3
 """m, root mean square, left between recorded and simulated places, above which nothing is said: it is another car."""
 _ALIKE = 0.97
-"""Cosine of two parameters' effects from which on nobody can tell them apart."""
+"""Cosine of two parameters' effects from which on they cannot be told apart."""
 _FELT = 0.02
 """m, root mean square over all ticks: a parameter that moves cars less, where it changes much, is not felt."""
 _NEAR = 1e-4

@@ -363,8 +363,8 @@ _ADDED = 2.0
 def alone_rate(groups: Sequence[FloatArray], confidence: float = 0.95) -> Mean:
     """Return the rate of hits of physical trials by themselves, every φ counting as much as any other.
 
-    It is the mean of the φ's own rates, as that with the simulator is; somebody who drives harmless φ again and again
-    does not get a safer car. Trials of one φ are at best independent of each other, so that they are no more than
+    It is the mean of the φ's own rates, as that with the simulator is; driving harmless φ again and again
+    gives no safer car. Trials of one φ are at best independent of each other, so that they are no more than
     n²/Σ 1/mᵢ effective trials (m trials on each of n φ), however alike chance has made the φ. Where all φ have one rate
     nothing is known of how much less that is, and several trials of a φ are one.
 
@@ -404,7 +404,7 @@ def enough_of_each(groups: Sequence[FloatArray]) -> bool:
 
 
 MOST = 10_000
-"""φ with physical trials beyond which nobody is advised."""
+"""φ with physical trials beyond which no number is named."""
 
 
 def width_alone(trials: int, deviation: float, confidence: float = 0.95) -> float:

@@ -36,7 +36,7 @@ class TrialFigure:
         most: largest value that it can have: more is another unit, or no trial.
         is_rate: whether a trial has it or not: 1 or 0.
         wrong: trials in which the simulator was wrong that are added to what is seen of it. A required deceleration is
-            0 where nobody comes into the other's way, and much where somebody nearly does: partly it is a yes or no, as
+            0 where neither comes into the other's way, and much where one nearly does: partly it is a yes or no, as
             a hit is, and a simulator that was right in a dozen trials will be wholly wrong in one some day.
     """
 
