@@ -375,8 +375,9 @@ def test_stamps_and_places_of_no_use_are_counted(tmp_path: Path, sent: list[Sent
         (list(drive()), "/tracks:43", "several objects; it has 42, 7"),
         (list(drive()), "/nothing", "has no message on /nothing; it has"),
         (list(drive()), "/tf:axle", "/tf has no frame 'axle' but 'base_link', 'lidar'"),
+        (walk()[:1], USER, "1 position; a track has at least two"),
     ],
-    ids=["slow clock", "no ids", "two drives", "no id", "another id", "another topic", "another frame"],
+    ids=["slow clock", "no ids", "two drives", "no id", "another id", "another topic", "another frame", "one message"],
 )  # fmt: skip
 def test_tracks_that_a_recording_does_not_say_are_refused_with_the_cause(
     tmp_path: Path, sent: list[Sent], name: str, says: str
