@@ -18,6 +18,7 @@ import importlib
 import json
 import os
 import pkgutil
+import re
 import select
 import signal
 import socket
@@ -134,9 +135,10 @@ def _prepare(path: Sequence[str]) -> None:
     """Have all that commands import, and the kernels; a campaign also brings what is imported or read late."""
     sys.path[:] = path
     main = importlib.import_module("skd_evaluator.cli.main").main
-    commands = importlib.import_module("skd_evaluator.cli")
-    for module in pkgutil.walk_packages(commands.__path__, "skd_evaluator.cli."):
-        importlib.import_module(module.name)
+    package = importlib.import_module("skd_evaluator")
+    for module in pkgutil.walk_packages(package.__path__, "skd_evaluator."):
+        if not re.search(r"\.ros\b|__main__|pytest_plugin", module.name):  # ROS may not be there
+            importlib.import_module(module.name)
     assert main(["assess", *_FIRST, "--out", "first"]) in (0, 1)
     # commands may have packages of their own
     importlib.import_module("skd_sim.options.registry")._installed.cache_clear()

@@ -122,7 +122,7 @@ def test_what_of_a_folder_is_not_used_is_said(tmp_path, caplog):
     taken = load_safe_trajectories(tmp_path, load_scenario("crossing"), 5)
     (line,) = caplog.messages
     unused = sorted({*"abcdefg"} - {phi.name for phi in taken})
-    assert f"5 of 8 used; not asked for: {', '.join(unused)}; no csv file: notes.txt" in line
+    assert f"5 of 8 used; not requested: {', '.join(unused)}; no csv file: notes.txt" in line
     caplog.clear()
     (tmp_path / "notes.txt").unlink()
     load_safe_trajectories(tmp_path, load_scenario("crossing"), 7)

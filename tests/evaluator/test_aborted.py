@@ -13,13 +13,12 @@ from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.options import WALKERS
 from skd_evaluator.assessment.stages.kamikazes import bounded_point
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.metrics.aborted import aborted_lines, at_worst
+from skd_evaluator.metrics.aborted import aborted_lines, at_worst, too_many_aborted
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
-from skd_evaluator.report.presentation import aborted_lines as presented_lines
-from skd_evaluator.report.presentation import too_many_aborted, why_failed
+from skd_evaluator.report.warnings import why_failed
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, SubsetEffort, levels_of
 from skd_sim.options.adversary import Objective
@@ -52,17 +51,19 @@ def test_each_figure_is_held_against_the_limit_on_its_own() -> None:
     """3 of 40 are too many, be they 3 of 140 in all; one of 10 is one."""
     found = rating(3)
     assert (len(found.reasons), found.episodes) == (3, 140)
-    assert (too_many_aborted(found, 0.05) or "").startswith("3 of 40 runs along φ were aborted, more than --max-abort")
+    assert (too_many_aborted(found.as_dict(), 0.05) or "").startswith(
+        "3 of 40 runs along φ were aborted, more than --max-abort"
+    )
     assert why_failed(found, 0.05)
-    assert too_many_aborted(found, 0.08) is None
+    assert too_many_aborted(found.as_dict(), 0.08) is None
     one = rating(1, plan=replace(MANY, collision_runs=10))
-    assert too_many_aborted(one, 0.05) is None
-    assert too_many_aborted(one, 0.0)
+    assert too_many_aborted(one.as_dict(), 0.05) is None
+    assert too_many_aborted(one.as_dict(), 0.0)
     kamikazes = rating(4, mode=Mode.KAMIKAZE, plan=replace(MANY, kamikaze_count=20, collision_runs=400))
-    assert "4 of 44 kamikazes of objective paper were aborted" in (too_many_aborted(kamikazes, 0.05) or "")
+    assert "4 of 44 kamikazes of objective paper were aborted" in (too_many_aborted(kamikazes.as_dict(), 0.05) or "")
     crossings = [Touch.NONE] * 17 + [Touch.ABORTED] * 2
-    assert "2 of 19 crossings" in (too_many_aborted(with_risk(*crossings), 0.05) or "")
-    assert too_many_aborted(with_risk(*crossings[:-1]), 0.05) is None
+    assert "2 of 19 crossings" in (too_many_aborted(with_risk(*crossings).as_dict(), 0.05) or "")
+    assert too_many_aborted(with_risk(*crossings[:-1]).as_dict(), 0.05) is None
 
 
 @pytest.mark.parametrize("mode", [Mode.REPLAY, Mode.KAMIKAZE])
@@ -216,9 +217,9 @@ def test_aborted_bounded_kamikazes_are_counted() -> None:
 def test_bounded_kamikazes_that_were_aborted_fail_an_assessment_and_no_gate_passes_by_them() -> None:
     """Two of ten: their share is 4/8, and 6/10 at worst."""
     found = replace(rating(0), budgets=(BudgetPoint(0.5, 4, 8, 2),))
-    assert too_many_aborted(found, 0.2) is None
-    assert "2 of 10 kamikazes held to η = 0.5 m" in why_failed(found, 0.05)[0]
-    (line,) = presented_lines(found)
+    assert too_many_aborted(found.as_dict(), 0.2) is None
+    assert "2 of 10 kamikazes bounded to η = 0.5 m" in why_failed(found, 0.05)[0]
+    (line,) = aborted_lines(found.as_dict())
     assert line.endswith("the share of these that are hit would be 60.0 % in place of 50.0 %")
     name = "vulnerability_curve.budgets.0.probability"
     checks = [check_limits(found.as_dict(), [Limit(name, most, is_least=False)])[0] for most in (0.61, 0.55, 0.49)]

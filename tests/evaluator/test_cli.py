@@ -108,25 +108,10 @@ def test_user_controller_is_assessed(here):
     result = json.loads((here / "out" / "assessment.json").read_text())
     assert (result["controller"], result["multiplier"]) == ("my_cars:Fine", None)
     assert (result["aborted_reasons"], result["commands_clipped"]) == ({}, {"commands": 0, "episodes": 0})
-    # The table shows these very figures.
-    low, high = result["skd_ci95_pairs"]
-    rate_low, rate_high = (100 * end for end in result["contact_rate_ci95_runs"])
-    assert result["skd_ci95"] is result["contact_rate_ci95"] is None  # one φ
-    for name, *shown in (
-        ("SKD (m)  ", f"[{low:.3f}, {high:.3f}]", f"{100 * result['kamikaze_success_rate']:.1f} % of trials collide"),
-        ("how φ differ is not known", "skd prefix", "contact rate"),
-        ("prefix distance (m)", f"{result['skd_prefix']:.3f}"),
-        ("mean impact speed of these (m/s)", f"{result['mean_impact_speed']:.2f}"),
-        (
-            "contact rate along φ, any touch",
-            f"{100 * result['contact_rate']:.1f} %",
-            f"[{rate_low:.1f}, {rate_high:.1f}] %",
-            "3 runs",
-        ),
-    ):
-        lines = [line for line in done.stdout.splitlines() if name[:18] in line]
-        assert lines, name
-        assert any(all(part in line for part in shown) for line in lines), (name, lines)
+    low, high = result["skd_ci95_pairs"]  # the table shows these very figures
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("SKD (m)")]
+    assert f"[{low:.3f}, {high:.3f}]" in line
+    assert f"{100 * result['kamikaze_success_rate']:.1f} % of trials collide" in line
 
 
 # --- what an assessment can end with
@@ -141,11 +126,6 @@ def test_no_kamikaze_found(here):
     assert result["skd"] is None
     assert result["kamikaze_success_rate"] == 0.0
     assert result["kamikaze_trials"] == 4
-
-
-def test_everything_discarded_by_distance(here):
-    done = skd("assess", *SMALL, "-p", "maximum_distance:=0.001", "--margin-limit", "0", "--out", "out", cwd=here)
-    one_line(done, 1, "all 2 are further than the maximum distance")
 
 
 def test_sweep(here):
@@ -180,29 +160,6 @@ def test_sweep(here):
         first = rf"^ *{row['multiplier']:.3f} +{row['margin']:.3f} "
         assert re.search(rf"{first}.* {row['skd']:.2f} ± {0.5 * (high - low):.2f}", done.stdout, re.MULTILINE)
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
-
-
-@pytest.mark.parametrize(
-    ("asked", "multipliers"),
-    [(["--collision-runs", "12"], ("0", "1.5")), (["-p", "maximum_distance:=0.1"], ("1.125", "8"))],
-)
-def test_sweep_says_of_each_car_what_its_assessment_says(here, asked, multipliers):
-    """One is hit along its φ, one is further than is looked: a warning."""
-    options = [*SMALL, *asked, "--quiet"]
-    done = skd("sweep", *options, "--multipliers", *multipliers, cwd=here)
-    alone = [skd("assess", *options, "--multiplier", value, cwd=here) for value in multipliers]
-    assert done.returncode == max(one.returncode for one in alone) == 0
-    said = [
-        line.removeprefix("skd assess: ").replace("warning: ", "")
-        for one in alone
-        for line in one.stderr.splitlines()
-        if "planned kamikazes needed" not in line  # a column of the sweep's table
-    ]
-    heard = [
-        re.sub(r"^synthetic, C = \S+: ", "", line.removeprefix("skd sweep: ").removeprefix("warning: "))
-        for line in done.stderr.splitlines()
-    ]
-    assert heard == said != []
 
 
 # --- interruption
@@ -298,7 +255,7 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
         done = process.finish(PATIENCE)
         assert done.returncode == 130
         (line,) = [line for line in done.stderr.splitlines() if not line.startswith("skd: ")]
-        kept = int(re.search(r"interrupted; (\d+) episodes kept, go on with: .* --resume$", line)[1])
+        kept = int(re.search(r"interrupted; (\d+) episodes kept, .*; go on with: .* --resume$", line)[1])
         assert kept > 100
         assert not (here / "out").exists()
         before = counted.stat().st_size

@@ -27,12 +27,6 @@ def test_bad_safe_trajectory(here, skd_here, content, parts):
     assert not (here / "out").exists()
 
 
-def test_too_few_recorded_trajectories(here):
-    done = skd("assess", "--safe", "good.csv", "--safe-count", "5", cwd=here)
-    one_line(done, 2, "good.csv", "1 usable", "5 were requested")
-    assert not (here / "skd_results").exists()
-
-
 def test_sweep_reads_recorded_trajectories_before_it_runs_anything(here):
     """Or it would not end in time."""
     one_line(skd("sweep", "--safe", "missing.csv", "--simulations", "100000", cwd=here), 2, "missing.csv")
@@ -116,24 +110,3 @@ def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     assert code == 2
     (line,) = capsys.readouterr().err.splitlines()
     return line
-
-
-def test_option_of_another_command(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["probe", "--car-model", "car_model.yaml"])
-    assert stop.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("skd probe: error: unrecognized arguments: --car-model")
-    assert "skd probe --help" in line
-
-
-def test_misspelt_objective(capsys):
-    """The choices are what the user types, not the names of Python objects."""
-    with pytest.raises(SystemExit) as stop:
-        main(["assess", "--objective", "frechett"])
-    assert stop.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "'frechett'" in line
-    assert "<" not in line
-    for name in ("paper", "frechet"):
-        assert name in line

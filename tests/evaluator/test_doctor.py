@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 import pytest
-from skd_evaluator.cli import doctor
+from skd_evaluator.cli.commands import doctor
 from skd_evaluator.cli.main import main
 
 ANSWER = {"packages": {"rclpy": True, "tf2_ros": False}, "middleware": "rmw_fastrtps_cpp", "round_trip": 0.2}

@@ -161,7 +161,7 @@ def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
     missed = recorder().measured(tracked(tmp_path / "b.csv", gap=25.0), PhysicalTrial("walk", {"hit": 0.0}))
     assert missed.seen_hit is False
     (line,) = overruled([missed, said])
-    assert line.startswith("in 1 of 2 trials the table says that the car did not hit")
+    assert line.startswith("in 1 of 2 trials the car hits in the recording and not in the table")
     assert not overruled([missed, seen])
 
 
@@ -277,7 +277,7 @@ def test_trials_calibrate_the_simulator(simulated: Path, trials: Path, tmp_path:
     delay = content["parameters"]["delay"]
     assert delay["ci95"][0] < 0.15 < delay["ci95"][1]
     assert delay["ci95"][1] - delay["ci95"][0] < 0.1
-    assert content["parameters"]["friction"]["reason"] == "not asked for"
+    assert content["parameters"]["friction"]["reason"] == "not requested"
     scenario = load_scenario(str(out / "simulator.yaml"))
     assert scenario.car.brake_delay == delay["value"]
     assert scenario.car.dynamics == "multi_body"

@@ -11,10 +11,11 @@ import pytest
 @pytest.mark.parametrize(
     ("program", "without"),
     [
-        ("import skd_evaluator.cli.assess", "scipy.special scipy.optimize matplotlib vl_convert"),
+        ("import skd_evaluator.cli.results", "scipy.special scipy.optimize matplotlib vl_convert"),
+        ("from skd_evaluator.cli.parser import make_parser; make_parser()", "numpy numba pydantic rich yaml"),
         ("from skd_evaluator.cli.main import main; main(['compare', '--difference', '0.5'])", "matplotlib"),
     ],
-    ids=["assess", "plan"],
+    ids=["assess", "help", "plan"],
 )
 def test_a_start_imports_no_library_that_it_does_not_need(program: str, without: str) -> None:
     said = f"import sys\n{program}\nprint([name for name in {without.split()} if name in sys.modules])"

@@ -14,8 +14,8 @@ import pytest
 from skd_evaluator.assessment.from_options import name_of_command, plan_of
 from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
 from skd_evaluator.cli import arguments as cli
-from skd_evaluator.cli.assess import graph_options
-from skd_evaluator.cli.commands import make_parser, parse
+from skd_evaluator.cli.arguments import graph_options
+from skd_evaluator.cli.parser import make_parser, parse
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import BOTH, Objective
 from skd_sim.options.options import FIELDS, EpisodeOptions, SimulatorOptions, option, options_from_text, options_of

@@ -12,7 +12,7 @@ from common import assert_valid
 from skd_evaluator import assess
 from skd_evaluator.assessment.episode_figures import simulator_contacts
 from skd_evaluator.assessment.from_options import check_car
-from skd_evaluator.report.formats import contact_warnings
+from skd_evaluator.report.warnings import contact_warnings
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.scenario.scenario import load_scenario

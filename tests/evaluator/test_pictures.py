@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import warnings
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
@@ -234,45 +233,3 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     assert f"planned deviation {what.deviation.mean:.2f} m, SKD {skd:.2f} m" in figures[0].get_suptitle()
     draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)
-
-
-def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
-    """A picture of the kamikazes that rank the car shows no SKD beside the paper's, nor the other way round."""
-    deviating, paper = (
-        dataclasses.replace(one, plan=dataclasses.replace(one.plan, objective=objective))
-        for one, objective in ((assessment([3, 2]), "deviation"), (assessment([2, 2]), "paper"))
-    )
-    both = dataclasses.replace(whole(deviating), results=(deviating, paper))
-    for number, what in enumerate((deviating, paper)):
-        save_trajectories(tmp_path / f"{number}.png", both, what)
-        titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)
-        assert ("SKD" in titles, "planned " in titles) == ((False, True), (True, False))[number]
-        assert f"objective {what.plan.objective}" in titles
-
-
-def seen_with(kind: str, colour: str) -> np.ndarray:
-    """A colour as CIE L*a*b* of who lacks a kind of cones (Machado, Oliveira and Fernandes 2009, severity 1)."""
-    matrices = {
-        "all cones": np.eye(3),
-        "no red": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-        "no green": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
-        "no blue": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
-    }
-    srgb = np.array(to_rgb(colour))
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    seen = np.clip(np.array(matrices[kind]) @ linear, 0.0, 1.0)
-    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ seen
-    f = np.cbrt(np.maximum(xyz / [0.9505, 1.0, 1.089], 0.008856))
-    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
-
-
-@pytest.mark.parametrize("kind", ["all cones", "no red", "no green", "no blue"])
-def test_everybody_tells_the_colours_apart(kind):
-    """ΔE of 20 is far beyond the just noticeable 2.3; the green and red of traffic lights are at less for some."""
-    ones = (palette.SAFE, palette.KAMIKAZE, palette.CAR)
-    apart = [np.linalg.norm(seen_with(kind, a) - seen_with(kind, b)) for a, b in itertools.combinations(ones, 2)]
-    assert min(apart) > 20.0
-    old = np.linalg.norm(seen_with("no green", "#1b7837") - seen_with("no green", "#d6604d"))
-    assert kind != "no green" or np.linalg.norm(seen_with(kind, ones[0]) - seen_with(kind, ones[1])) > 1.5 * old
-    scale = [seen_with(kind, colour) for colour in palette.ordered(4)]
-    assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(scale, 2)) > 10.0

@@ -108,9 +108,10 @@ def test_a_car_whose_figures_are_not_credible_passes_no_test(tmp_path: Path, mon
 
 def test_a_car_without_margin_and_skd_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`skd assess` ends with exit code 1 as well; a margin alone is enough."""
-    none = SimpleNamespace(distances=SimpleNamespace(mean=None), discarded=3)
-    figures = {"margin": None, "skd": None}
-    rating = SimpleNamespace(as_dict=lambda: figures, for_skd=SimpleNamespace(skd=none, reasons=()))
+    paper = {"trials": 3, "aborted": 0}
+    figures = {"margin": None, "skd": None, "discarded_by_distance": 3, "objectives": {"paper": paper}}
+    figures["aborted_reasons"] = {}
+    rating = SimpleNamespace(as_dict=lambda: figures)
     monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
     skd = Assessor(tmp_path)
     for _ in range(2):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from cli_support import SMALL
 from matplotlib.image import imread
-from skd_evaluator.report.charts import charted, coloured, floor_of, has_risks, rating_charts, vulnerability_chart
+from skd_evaluator.report.charts import charted, coloured, floor_of, rating_charts, vulnerability_chart
 from skd_evaluator.report.html.subjects import read_subjects
 
 
@@ -20,10 +20,6 @@ def test_the_axis_ends_at_a_power_of_ten_below_every_risk(risks, floor):
     assert floor_of([(one, 0.0, 0.0) for one in risks]) == pytest.approx(floor)
 
 
-def test_where_nobody_was_hit_the_axis_shows_how_much_there_may_be():
-    assert floor_of([(0.3, 0.0, 0.4), (0.0, 0.0, 0.0015)]) == pytest.approx(1e-3)
-
-
 def test_cars_stand_where_their_results_say_and_a_line_joins_basic_ones(sweep):
     ((heading, charts),) = rating_charts(read_subjects([sweep])[::-1])
     assert heading == ""
@@ -33,13 +29,6 @@ def test_cars_stand_where_their_results_say_and_a_line_joins_basic_ones(sweep):
     assert [row["C"] for row in line] == sorted(row["C"] for row in points) == [one["multiplier"] for one in said]
     assert [row["margin"] for row in line] == [one["margin"] for one in said]
     assert [row["value"] for row in line] == [one["risk_2"] for one in said]
-
-
-def test_without_a_risk_there_is_no_place(sweep):
-    (first, _) = read_subjects([sweep])
-    assert has_risks(first.figures)
-    assert not has_risks({**first.figures, "risk_2": None})
-    assert not has_risks({**first.figures, "margin": None})
 
 
 def colours(chart: dict) -> dict[str, str]:

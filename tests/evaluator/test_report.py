@@ -18,12 +18,12 @@ from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.from_options import plan_of, scenario_for
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
-from skd_evaluator.cli.commands import make_parser
+from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.episodes import RESOLUTION, pack, unpack
 from skd_evaluator.report.html.figures import ranking_notes
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.report.repeat import repeat_command, scenario_name
+from skd_evaluator.report.repeat import repeat_command
 from skd_evaluator.report.terminal import headline
 from skd_sim.world.episode import Mode, Outcome
 
@@ -176,45 +176,6 @@ def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
     assert area == pytest.approx(margins.mean()) == one.figures["margin"]
 
 
-def test_margin_trajectories_are_in_the_page_the_least_first(report, subjects):
-    content = unpack(report.scripts[0])
-    for subject, said in zip(subjects, content["subjects"], strict=True):
-        with np.load(subject.folder / "episodes.npz") as stored:
-            arrays = dict(stored)
-        for index, ways in enumerate(said["least"]):
-            mine = np.flatnonzero((arrays["margin_safe_index"] == index) & np.isfinite(arrays["margin"]))
-            assert len(ways) == min(len(mine), 40)
-            assert [way["deviation"] for way in ways] == sorted(way["deviation"] for way in ways)
-            for way in ways:
-                (row,) = mine[arrays["margin_trial"][mine] == way["trial"]]
-                low, high = arrays["margin_offsets"][row : row + 2]
-                np.testing.assert_allclose(way["points"], arrays["margin_positions"][low:high], atol=0.0051)
-                assert way["deviation"] == pytest.approx(arrays["margin"][row], abs=6e-4)
-            every = arrays["margin"][arrays["margin_safe_index"] == index]
-            assert said["margins"][index] == pytest.approx(np.fmin(every, arrays["eta_max"]).tolist(), abs=6e-4)
-
-
-def test_nobody_is_ranked_by_what_was_planned_with_unlike_adversary_models(subjects, tmp_path):
-    """Of results without a margin, planned figures of one adversary model are put in order, others are not."""
-    folders = []
-    for number, adversary_model in enumerate(("generic", "learned", "learned")):
-        changes = {
-            **dict.fromkeys((*NO_MARGIN, "optimality_gap")),
-            "margin_note": "not asked for",
-            "adversary_model": adversary_model,
-        }
-        folder = edited(subjects[number % 2].folder, tmp_path / str(number), vulnerability_curve=None, **changes)
-        with np.load(folder / "episodes.npz") as stored:
-            kept = {name: array for name, array in stored.items() if not name.startswith("margin")}
-        np.savez(folder / "episodes.npz", **kept)
-        folders.append(folder)
-    unlike, alike = read_subjects([folders[0], folders[1]]), read_subjects([folders[0], folders[1], folders[2]])
-    assert [note for note in ranking_notes(unlike) if "the safest" in note] == []
-    (note,) = [note for note in ranking_notes(alike) if "the safest" in note]
-    assert note.startswith("Of 2 assessments over the same φ")
-    assert "by planned deviation" in note
-
-
 def test_each_command_repeats_its_episode(subjects):
     parser = make_parser()
     for subject in subjects:
@@ -235,20 +196,6 @@ def test_each_command_repeats_its_episode(subjects):
             )
             np.testing.assert_array_equal(log.adversary, episodes.adversary[number])
             np.testing.assert_array_equal(log.car, episodes.car[number])
-
-
-def test_commands_name_what_the_results_alone_hold(subjects):
-    figures = dict(subjects[0].figures)
-    assert scenario_name(figures) == "crossing"
-    figures["scenario"] = {**figures["scenario"], "eta_max": 4.0}
-    figures |= {"car_model": {"any": "thing"}, "maximum_distance": 2.5, "options": {"particles": 50}, "seed": 7}
-    words = repeat_command(figures, Mode.KAMIKAZE, "frechet", 1 << 48 | 3 << 32 | 9)
-    pairs = dict(itertools.pairwise(words))
-    assert pairs["--scenario"] == "scenario.yaml"
-    assert pairs["--car-model"] == "car_model.yaml"
-    assert (pairs["--maximum-distance"], pairs["--particles"]) == ("2.5", "50")
-    assert pairs["--seed"] == "7"
-    assert (pairs["--safe-number"], pairs["--trial"], pairs["--objective"]) == ("3", "9", "frechet")
 
 
 def test_what_was_aborted_is_no_rating(subjects, tmp_path):

@@ -10,9 +10,6 @@ from axe import RULES, axe_source, serious_findings
 from browser import Opened, chromium, open_page
 from skd_evaluator.extensions.ncap.page import render as regulators_view
 from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell
-from skd_evaluator.metrics.surrogate_measures import collision_times, required_decelerations
-from skd_evaluator.metrics.surrogate_scenes import course_of, scene_of
-from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.world.episode import Mode
@@ -86,24 +83,6 @@ def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, 
     one.page.context.close()
 
 
-def test_a_failure_of_the_risk_is_played(opened, subjects, file):
-    second = kept_failures(subjects[0].figures)[1]
-    opened.page.select_option("#subject", "0")
-    opened.page.locator("button[data-subject='0'][data-failure='1']").click()
-    opened.page.wait_for_timeout(300)
-    assert second.text in opened.page.locator("#playing").text_content()
-    assert "differ more from the average" in opened.page.locator("#playing").text_content()
-    command = opened.page.locator("#command").text_content()
-    phi, trial = second.row % len(subjects[0].episodes.safe), second.row // len(subjects[0].episodes.safe)
-    assert " --mode risk " in command
-    assert command.endswith(f"--behaviour walkers --scale {second.scale:g} --safe-number {phi} --trial {trial}")
-    speed = subjects[0].failing.impact_speed[1]
-    assert f" at {speed:.1f} m/s" in opened.page.locator("#place").text_content()
-    opened.page.locator("#next").click()
-    assert kept_failures(subjects[0].figures)[2].kind in opened.page.locator("#playing").text_content()
-    opened.assert_quiet(file)
-
-
 def test_the_table_sorts_and_filters(opened, subjects):
     every = sum(len(one.episodes) for one in subjects)
     assert opened.text("#count") == f"{every} of {every} episodes"
@@ -156,33 +135,6 @@ def test_the_player_moves(opened, subjects):
     opened.page.click("#next")
     assert opened.text("#command") != command
     assert opened.page.locator("#table tr.chosen").inner_text().startswith("▶ 4")
-
-
-def test_the_player_says_what_the_measures_say(opened, subjects):
-    """At the beginning of each episode, to what centimetres of the page's places come to."""
-    episodes, compared = subjects[0].episodes, 0
-    for row in range(1, 9):
-        opened.page.locator("#table tbody tr").nth(row).click()
-        words = opened.text("#command").split()
-        (mine,) = (one for one in subjects if f"{one.label}:" in opened.text("#playing"))
-        episodes = mine.episodes
-        objective = words[words.index("--objective") + 1] if "--objective" in words else ""
-        wanted = int(words[words.index("--safe-number") + 1]) << 32 | int(words[words.index("--trial") + 1])
-        same = (episodes.episode_id & (1 << 48) - 1 == wanted) & (episodes.objective == objective)
-        (number,) = np.flatnonzero(same)
-        course = course_of(mine.scenario, episodes.adversary[number], episodes.car[number], None)
-        scene = scene_of(mine.scenario, *course)
-        time, braking = float(collision_times(scene)[0]), float(required_decelerations(scene)[0])
-        opened.page.focus("#time")
-        opened.page.keyboard.press("Home")
-        said = re.search(r"time to collision ([\d.]+) s · required deceleration ([\d.]+) m/s²", opened.text("#state"))
-        assert (said is not None) == np.isfinite(time), opened.text("#state")
-        if said is not None:
-            assert float(said[1]) == pytest.approx(time, abs=0.11)
-            assert float(said[2]) == pytest.approx(braking, abs=0.11)
-            compared += 1
-    assert opened.count("#surrogates polyline") == 2
-    assert compared > 2
 
 
 def test_it_fits_every_screen_and_paper(browser, file):

@@ -10,10 +10,7 @@ from cli_support import SMALL, names, one_line, skd_from_nothing
 from rich.table import Table
 from skd_evaluator.report.progress import ProgressLines
 from skd_evaluator.report.tables import equal_remarks
-from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, print_table
-from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean
-from skd_sim.options.registry import Registry
+from skd_evaluator.report.terminal import narrow_table, print_table
 
 NOISY = """
 import ctypes, os, subprocess, sys
@@ -66,16 +63,6 @@ def test_quiet_prints_nothing_and_verbose_where_an_error_comes_from(skd_here, he
 )
 def test_a_wrong_name_brings_the_right_one(skd_here, arguments, meant):
     one_line(skd_here(*arguments), 2, f"did you mean {meant!r}?")
-
-
-def test_nothing_is_suggested_for_what_is_like_nothing(skd_here, tmp_path):
-    assert "did you mean" not in skd_here("xyzzy").stderr
-    assert did_you_mean("", ["a"]) == ""
-    registry = Registry("colour", "no.such.group", {"red": "a:b", "green": "a:c"})
-    with pytest.raises(UsageError, match=r"known are red, green; did you mean 'green'\?"):
-        registry.target("gren")
-    (tmp_path / "scenario.yaml").write_text("tme_step: 0.3\n")
-    one_line(skd_here("assess", "--scenario", str(tmp_path / "scenario.yaml")), 2, "did you mean 'time_step'?")
 
 
 def a_table(cells: int = 3) -> Table:
@@ -134,9 +121,3 @@ def test_a_step_has_one_line_and_then_one_a_minute():
     assert written[:2] == ["kamikazes (200)", "margin"]
     assert len(written) == len(set(written)) == 4
     assert written[2] == "margin, 1, 91 of 200, 0:01:49 left"
-
-
-@pytest.mark.parametrize(("count", "said"), [(1, False), (2, True), (4, True), (5, False), (20, False)])
-def test_intervals_over_hardly_any_safe_trajectories_are_remarked_on(count, said):
-    line = few_safe_trajectories({"per_safe_trajectory": [{}] * count})
-    assert (line is not None and f"over {count} φ say little" in line) == said

@@ -9,9 +9,9 @@ import pytest
 from rich.console import Console
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.report.formats import margin_warnings
-from skd_evaluator.report.presentation import figure_warnings, too_many_aborted
+from skd_evaluator.metrics.aborted import too_many_aborted
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
+from skd_evaluator.report.warnings import figure_warnings
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, EpisodeLog, Mode, Outcome, abort_reason
 from stages import rate
@@ -52,7 +52,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
         return (Outcome.COLLISION if second or episode.mode == Mode.KAMIKAZE else Outcome.ARRIVED), 0
 
     found = assessed(decide)
-    (line,) = figure_warnings(found)
+    (line,) = figure_warnings(found.as_dict())
     assert "'two' was hit in 100 % of 20 runs" in line
     rows = found.as_dict()["per_safe_trajectory"]
     assert [(row["contact_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
@@ -60,7 +60,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
         (1.0, 20, False),
     ]
     assert "100.0 %, not safe" in shown(found)
-    assert figure_warnings(assessed(decide, replace(PLAN, collision_runs=8))) == []  # too few runs to say so
+    assert figure_warnings(assessed(decide, replace(PLAN, collision_runs=8)).as_dict()) == []  # too few runs to say so
 
 
 def test_clipped_commands_are_counted_wherever_they_were():
@@ -71,9 +71,8 @@ def test_clipped_commands_are_counted_wherever_they_were():
 
     found = assessed(decide)
     assert found.as_dict()["commands_clipped"] == {"commands": 14, "episodes": 4}
-    (line,) = figure_warnings(found)
+    (line,) = figure_warnings(found.as_dict())
     assert "14 commands in 4 episodes" in line
-    assert "-11.5 … 11.5" in line
     assert "commands beyond what the car can do" in shown(found)
 
 
@@ -88,7 +87,7 @@ def test_too_many_aborted(maximum, fails):
 
     found = assessed(decide, replace(PLAN, collision_runs=30))
     assert (len(found.reasons), found.episodes) == (2, 40)
-    why = too_many_aborted(found, maximum)
+    why = too_many_aborted(found.as_dict(), maximum)
     assert (why is not None) is fails
     if why:
         assert f"2 of 40 episodes were aborted, more than --max-aborted {100 * maximum:g} %; 2 of them: {REASON}" in why
@@ -106,27 +105,69 @@ RESULT = {
     "margin_how": None,
     "margin_trials": 12,
     "margin_beyond": 12,
-    "per_safe_trajectory": [{}] * 3,
+    "per_safe_trajectory": [{"safe": True}] * 3,
     "distinct_safe_trajectories": 3,
     "optimality_gap": None,
     "impact_speed": None,
     "scenario": {"collision": {"hit_speed": 0.556}},
+    "skd": 1.0,
+    "objectives": {},
+    "collision_runs": 24,
+    "nominal_collision_rate": 0.0,
+    "until_width": None,
+    "commands_clipped": {"commands": 0, "episodes": 0},
 }
 
 
-@pytest.mark.parametrize(("beyond", "hit", "said"), [(12, 3, True), (12, 0, False), (11, 3, False)])
-def test_hits_that_the_margins_own_trials_do_not_have_are_said(beyond: int, hit: int, said: bool) -> None:
-    """Else it reads: nobody is hit within 5 m, from 5.000 to 5.000 m, beside runs along φ that end in a hit."""
-    ends = {"margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0), "nominal_collision_rate": 2 / 24 if hit else 0.0}
-    result = {**RESULT, **ends, "margin_beyond": beyond}
-    found = margin_warnings(result, hit, hit)
-    assert ["but 3 other episodes ended in a hit: hits are rarer" in line for line in found] == [True] * said + [
-        False
-    ] * (beyond == 12 and not hit)
-    assert any("have the same margin, so its interval has no width" in line for line in found) == (
-        beyond == 12 and not hit
-    )
-    assert ("But 8.3 % of the runs along nominal trajectories collide." in headline(result)) == said
+@pytest.mark.parametrize(
+    ("p90", "hit_speed", "trials", "said"),
+    [
+        (0.7, 0.556, 12, True),
+        (0.9, 0.556, 12, False),
+        (0.7, 0.556, 11, False),
+        (0.1, 0.0, 12, False),
+        (None, 0.5, 12, False),
+    ],
+)
+def test_a_car_that_is_judged_by_slow_touches_is_named(
+    p90: float | None, hit_speed: float, trials: int, said: bool
+) -> None:
+    impact = None if p90 is None else {"mean": 0.6, "p90": p90}
+    margin = {"margin": 1.0, "margin_ci95": (0.9, 1.1), "margin_trials": trials, "margin_beyond": 2}
+    scenario = {"collision": {"hit_speed": hit_speed}}
+    found = figure_warnings({**RESULT, **margin, "impact_speed": impact, "scenario": scenario})
+    assert len(found) == said
+    assert not said or "at 0.70 m/s or less, and a hit begins at 0.556 m/s" in found[0]
+
+
+def planned(hits: int, standing: int, *, deviation: bool) -> dict[str, object]:
+    """Kamikazes of one objective: 20 trials, so many hits by the moving car, so many that walked into it."""
+    reached = hits if deviation else hits + standing
+    return {"trials": 20, "failed": 20 - reached, "standing_contacts": standing, "plans_deviation": deviation}
+
+
+@pytest.mark.parametrize("deviation", [True, False])
+@pytest.mark.parametrize(
+    ("beyond", "along", "hits", "standing", "said"),
+    [
+        (12, 3, 0, 0, "but 3 other episodes ended in a hit"),
+        (12, 2, 1, 4, "but 3 other episodes ended in a hit"),
+        (12, 0, 0, 4, "only walked into: 4 kamikazes touched it"),
+        (12, 0, 0, 0, "12 trials have the same margin"),
+        (11, 3, 0, 0, ""),
+    ],
+)
+def test_hits_that_the_margins_own_trials_do_not_have_are_said(
+    beyond: int, along: int, hits: int, standing: int, said: str, deviation: bool
+) -> None:
+    ends = {"margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0), "nominal_collision_rate": along / 24}
+    objectives = {"one": planned(hits, standing, deviation=deviation)}
+    result = {**RESULT, **ends, "margin_beyond": beyond, "objectives": objectives}
+    found = figure_warnings(result)
+    assert said in " ".join(found)
+    assert bool(found) == bool(said)
+    collide = f"But {100 * along / 24:.1f} % of the runs along nominal trajectories collide."
+    assert (collide in headline(result)) == (beyond == 12 and along > 0)
 
 
 def test_a_search_that_has_not_converged_gives_an_upper_bound() -> None:
@@ -136,8 +177,8 @@ def test_a_search_that_has_not_converged_gives_an_upper_bound() -> None:
     assert "Safety margin at most 2.00 m" in said
     assert "No hit found in 3 of 12: each counts as 5 m." in said
     assert "--margin-limit" in said
-    assert "had not converged at 16 candidates a trial" in margin_warnings(result, 0, 0)[0]
+    assert "had not converged at 16 candidates a trial" in figure_warnings(result)[0]
     converged = {**result, "margin_converged": True}
     assert "at most" not in headline(converged)
     assert "converged" not in headline(converged)
-    assert not margin_warnings(converged, 0, 0)
+    assert not figure_warnings(converged)

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions
-from skd_evaluator.cli.commands import make_parser
+from skd_evaluator.cli.parser import make_parser
 from skd_sim.options.options import SimulatorOptions, options_of
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,7 +17,7 @@ import yaml
 from common import PATIENCE
 from packaging_support import ROOT
 from skd_evaluator.assessment.files.assessment_json import check_figure
-from skd_evaluator.cli.commands import make_parser
+from skd_evaluator.cli.parser import make_parser
 
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
 STEPS = {step.get("name", step.get("uses")): step for step in ACTION["runs"]["steps"]}

@@ -54,7 +54,6 @@ setup(
             "campaign = skd_evaluator.extensions.campaign.options:add_campaign",
             "ncap = skd_evaluator.extensions.ncap.options:add_ncap",
             "fuse = skd_evaluator.extensions.fusion.options:add_fuse",
-            "calibrate = skd_evaluator.extensions.fusion.options:add_calibrate",
             "export = skd_evaluator.extensions.exchange.options:add_export",
             "import = skd_evaluator.extensions.exchange.options:add_import",
         ],

@@ -29,9 +29,10 @@ from skd_evaluator.assessment.run.workers import available_workers
 from skd_evaluator.assessment.stages.checks import fresh_process
 from skd_evaluator.assessment.stages.pipeline import assess_in_process
 from skd_evaluator.assessment.stages.risk import risk_request
-from skd_evaluator.metrics.aborted import not_credible
+from skd_evaluator.metrics.aborted import aborted_lines, not_credible
 from skd_evaluator.provenance import provenance
-from skd_evaluator.report.presentation import aborted_lines, fill, why_failed, with_failures
+from skd_evaluator.report.presentation import fill
+from skd_evaluator.report.warnings import why_failed, with_failures
 
 _COMMAND = ("skd_evaluator.assess",)
 _ONE_AT_A_TIME = threading.RLock()
@@ -113,7 +114,7 @@ def assess(
         assessment = replace(failed, seconds=seconds)
         if folder is not None:
             folder.write(lambda where: fill(where, assessment))
-    said = [*not_credible(assessment.warnings), *why_failed(assessment, 1.0), *aborted_lines(assessment)]
+    said = [*not_credible(assessment.warnings), *why_failed(assessment, 1.0), *aborted_lines(assessment.as_dict())]
     for line in dict.fromkeys(said):
         warnings.warn(line, stacklevel=2)
     return assessment

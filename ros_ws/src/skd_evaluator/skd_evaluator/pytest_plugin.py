@@ -166,7 +166,7 @@ class Assessor:
         from skd_evaluator.errors import AssessmentError
         from skd_evaluator.library import assess
         from skd_evaluator.metrics.aborted import not_credible
-        from skd_evaluator.report.presentation import undefined
+        from skd_evaluator.report.warnings import undefined
 
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"
@@ -175,7 +175,7 @@ class Assessor:
             assessment = assess(controller, out=folder, **options)
             self._kept[key] = Assessed(assessment.as_dict(), folder)
             figures = self._kept[key].figures
-            nothing = undefined(assessment) if figures["margin"] is None else None
+            nothing = undefined(figures) if figures["margin"] is None else None
             self._failed[key] = "; ".join(filter(None, [*not_credible(figures.get("warnings") or ()), nothing]))
         if why := self._failed[key]:
             raise AssessmentError(f"{controller}: {why}. See {self._kept[key].folder}")

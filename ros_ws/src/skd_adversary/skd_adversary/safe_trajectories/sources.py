@@ -54,7 +54,7 @@ def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -
     by_reason: dict[str, list[str]] = {}
     for index, trajectory in enumerate(usable):
         if index not in taken:
-            by_reason.setdefault("not asked for", []).append(trajectory.name)
+            by_reason.setdefault("not requested", []).append(trajectory.name)
     for name, reason in dropped:
         by_reason.setdefault(re.sub(r"\d+(\.\d+)?", "…", reason), []).append(name)
     if by_reason:

@@ -1,17 +1,15 @@
-"""The parser of commands, and arguments that several share, made from the tables of options. Light: help reads it."""
+"""Arguments that several commands share, made from the tables of options. Light: help reads it."""
 
 from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean
-from skd_sim.options.options import Option, options_of, read_options
+from skd_sim.options.options import Option, options_of, read_options, values_of
 
 from skd_evaluator.assessment.options import (
     MAXIMUM_ABORTED,
@@ -20,63 +18,16 @@ from skd_evaluator.assessment.options import (
     CampaignOptions,
     GraphOptions,
 )
+from skd_evaluator.cli.parser import rare
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.result_folder import ResultFolder
     from skd_evaluator.assessment.run.workers import Workers
 
 CAR_GROUP = "car and test"
-EXIT_USAGE = 2
+DETAILS = "print every figure, and a line for each safe trajectory"
 Parse = Callable[[str], Any]
 _MOST_STEPS = 100
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser whose errors and usage are one line, and whose help leaves out what is rare.
-
-    Attributes:
-        everything: whether the help has all options.
-    """
-
-    everything = False
-
-    def error(self, message: str) -> NoReturn:
-        """Leave with the message."""
-        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
-
-    def format_help(self) -> str:
-        """Return the help, with a short usage, and how many options it leaves out."""
-        self.usage = " ".join([self.prog, *filter(None, map(_usage, self._actions)), "[options]"])
-        hidden = sum(one.help is argparse.SUPPRESS for one in self._actions)
-        self.epilog = f"--help-all shows {hidden} more options." if hidden else None
-        return super().format_help()
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        if message and file is not None and file is sys.stdout:
-            file.write(message)  # Python's own drops without a word what the disk does not take
-        else:
-            super()._print_message(message, file)
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        try:
-            super()._check_value(action, value)
-        except argparse.ArgumentError as error:
-            error.message += did_you_mean(str(value), map(str, action.choices or ()))
-            raise
-
-
-def _usage(one: argparse.Action) -> str:
-    """Return how an argument stands in the usage; nothing for what may be left out."""
-    name = str(one.metavar or one.dest.upper())
-    if one.option_strings:
-        return f"{one.option_strings[0]} {name}" if one.required else ""
-    many = f"{name} …" if one.nargs in ("+", "*") else name
-    return f"[{many}]" if one.nargs in ("?", "*") else many
-
-
-def rare(text: str) -> str:
-    """Return the text of an option that only --help-all shows."""
-    return text if Parser.everything else argparse.SUPPRESS
 
 
 def _number(kind: type[int] | type[float], low: float, high: float, *, above: bool = False) -> Parse:
@@ -154,12 +105,18 @@ def command_line(text: str) -> str:
     return text
 
 
+def add_value(group: argparse._ActionsContainer, name: str, text: str, **rest: Any) -> None:
+    """Add an option or an argument, as `add_argument` does; the help says its default, if it has one."""
+    if text != argparse.SUPPRESS and rest.get("default") not in (None, ()) and "default:" not in text:
+        text += " (default: %(default)s)"
+    group.add_argument(name, help=text, **rest)
+
+
 def add_count(
     group: argparse._ActionsContainer, flag: str, low: int, high: int, text: str, *, default: int | None = None
 ) -> None:
     """Add a whole number from `low` to `high`; the help says its default, if it has one."""
-    said = text if default is None else f"{text} (default: %(default)s)"
-    group.add_argument(flag, type=whole_number(low, high), default=default, metavar="N", help=said)
+    add_value(group, flag, text, type=whole_number(low, high), default=default, metavar="N")
 
 
 def add_flag(group: argparse._ActionsContainer, flag: str, text: str) -> None:
@@ -230,6 +187,7 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
 
     The command line counts more than a file.
     """
+    parser.set_defaults(read_parameters=parameters_of)
     group = parser.add_argument_group("parameters")
     text = rare("an option by name, as ROS 2 has parameters")
     group.add_argument("-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help=text)
@@ -243,7 +201,7 @@ def parameters_of(arguments: argparse.Namespace) -> dict[str, Any]:
     Raises:
         UsageError: a file cannot be read, or the command has no such option or no such value of it.
     """
-    if not (getattr(arguments, "param", None) or getattr(arguments, "params_file", None)):
+    if not (arguments.param or arguments.params_file):
         return {}
     from skd_sim.inputs.yaml_file import parse_yaml, read_yaml  # only now: every command begins with this module
 
@@ -308,7 +266,9 @@ def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_l
     from skd_evaluator.assessment.run.workers import available_workers
 
     workers = arguments.workers or available_workers()
-    return make_runner(arguments.scheduler, workers, isolated=isolated, answer_limit=answer_limit or CALL_LIMIT)
+    return make_runner(
+        getattr(arguments, "scheduler", None), workers, isolated=isolated, answer_limit=answer_limit or CALL_LIMIT
+    )
 
 
 def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
@@ -365,6 +325,11 @@ def add_loudness(group: argparse._ActionsContainer) -> None:
     verbose = "show where in SKD an error comes from"
     loudness.add_argument("-v", "--verbose", action="store_true", help=rare(verbose))
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
+
+
+def graph_options(arguments: argparse.Namespace) -> GraphOptions:
+    """Return how to run the node graph."""
+    return GraphOptions(**values_of(GraphOptions, vars(arguments)))
 
 
 def result_folder(arguments: argparse.Namespace) -> ResultFolder:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, real_path
 
-from skd_evaluator.cli.arguments import rare
+from skd_evaluator.cli.parser import rare
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 
@@ -41,14 +41,9 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the conditions under which the exit code is 1, and the files that say which of them hold."""
     group = parser.add_argument_group("gate")
     for side, example in (("below", "margin=0.8"), ("above", "contact_rate=0.05")):
-        group.add_argument(
-            f"--fail-{side}",
-            type=figure_limit,
-            action="append",
-            default=[],
-            metavar="FIGURE=NUMBER",
-            help=f"exit with 1 if this figure of assessment.json is {side} the number, as {example}. Can be repeated",
-        )
+        text = f"exit with 1 if this figure of assessment.json is {side} the number, as {example}. Can be repeated"
+        limit: dict[str, Any] = {"type": figure_limit, "action": "append", "default": [], "metavar": "FIGURE=NUMBER"}
+        group.add_argument(f"--fail-{side}", help=text, **limit)
     text = "exit with 1 if the car is less safe than in this earlier result, judged as skd compare does"
     group.add_argument("--fail-if-worse-than", type=Path, metavar="DIR", help=text)
     text = "write these conditions as JUnit XML. An error means that nothing can be said of the car"
@@ -104,17 +99,22 @@ class Gate:
         judged = (replace(one, text=f"not judged: {one.text}", error=True) if one.passed else one for one in found[1:])
         return [first, *judged]
 
-    def write(self, result: Mapping[str, Any], checks: list[Check]) -> str | None:
-        """Write the files, and return why that failed, in one line; none where all is well."""
+    def write(self, result: Mapping[str, Any] | None, checks: list[Check], car: str = "") -> str | None:
+        """Write the files, those of an assessment that ended without result but for Markdown; return why that failed.
+
+        Args:
+            result: content of assessment.json; None: there is none.
+            checks: what became of each condition.
+            car: its name, where there is no result.
+        """
         from skd_evaluator.report.summary import junit_xml, markdown
 
-        texts = {
-            "junit": lambda: junit_xml(result, checks),
-            "markdown": lambda: markdown(result, checks),
-        }
         try:
             for name, path in self.files.items():
-                write_file(path, texts[name]())
+                if name == "junit":
+                    write_file(path, junit_xml(result, checks, car=car))
+                elif result is not None:
+                    write_file(path, markdown(result, checks))
         except OSError as error:
             return f"--{name} {path}: cannot be written ({error.strerror})"
         return None
@@ -125,26 +125,21 @@ class Gate:
         try:
             yield
         except AssessmentError as error:
-            if "junit" in self.files:
-                from skd_evaluator.assessment.compare.gate import Check
-                from skd_evaluator.report.summary import junit_xml
+            from skd_evaluator.assessment.compare.gate import Check
 
-                checks = [Check("assessment", str(error), error=True)]
-                try:
-                    write_file(self.files["junit"], junit_xml(None, checks, car=car))
-                except OSError as problem:
-                    print(
-                        f"skd: --junit {self.files['junit']}: cannot be written ({problem.strerror})", file=sys.stderr
-                    )
+            if problem := self.write(None, [Check("assessment", str(error), error=True)], car):
+                print(f"skd: {problem}", file=sys.stderr)
             raise
 
 
 def gate_of(arguments: argparse.Namespace) -> Gate:
-    """Return the gate that was asked for; impossible conditions are refused before any work.
+    """Return the gate that was requested; impossible conditions are refused before any work.
 
     Raises:
         UsageError: no such figure, no such result, or no place where a file can be written.
     """
+    from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
+
     limits = _limits_of(arguments)
     earlier = None
     if arguments.fail_if_worse_than is not None:
@@ -154,22 +149,15 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
             earlier = read_result(arguments.fail_if_worse_than)
         except UsageError as error:
             raise UsageError(f"--fail-if-worse-than {error}") from error
-    files = {name: getattr(arguments, name) for name in _FILES if getattr(arguments, name) is not None}
+    files = {name: path for name in _FILES if (path := getattr(arguments, name)) is not None}
+    inputs = inputs_of(vars(arguments)) if files else []
     for name, path in files.items():
         check_file(path, f"--{name}")
-        same = [other for other, theirs in files.items() if other != name and real_path(theirs) == real_path(path)]
-        if same:
-            raise UsageError(f"--{name} {path}: --{same[0]} is written there, too; give each a file of its own")
+        refuse_to_replace(path, inputs, f"--{name}")
         if not os.access(real_path(path).parent, os.W_OK | os.X_OK):
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
-    if files:
-        from skd_evaluator.assessment.from_options import inputs_of, lies_in, refuse_to_replace
-
-        inputs = inputs_of(vars(arguments))
-        for name, path in files.items():
-            refuse_to_replace(path, inputs, f"--{name}")
-            if inside := [one for one in inputs if one.is_dir() and lies_in(path, one)]:
-                raise UsageError(f"--{name} {path}: lies in {inside[0]}, which this command reads; give another file")
+    if len(set(map(real_path, files.values()))) < len(files):
+        raise UsageError(f"--junit {arguments.junit}: --markdown is written there, too; give each a file of its own")
     return Gate(limits, earlier, files)
 
 
@@ -179,24 +167,23 @@ def _limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
     Raises:
         UsageError: no such figure, or one that is never beyond its limit, or always.
     """
-    limits: tuple[Limit, ...] = ()
-    if arguments.fail_below or arguments.fail_above:
-        from skd_evaluator.assessment.compare.gate import Limit
-        from skd_evaluator.assessment.files.assessment_json import check_figure, span_of
+    if not (arguments.fail_below or arguments.fail_above):
+        return ()
+    from skd_evaluator.assessment.compare.gate import Limit
+    from skd_evaluator.assessment.files.assessment_json import check_figure, span_of
 
-        for side in ("below", "above"):
-            for name, value in getattr(arguments, f"fail_{side}"):
-                try:
-                    check_figure(name)
-                except UsageError as error:
-                    raise UsageError(f"--fail-{side} {name}={value:g}: {error}") from error
-                low, high = span_of(name)
-                if not low <= value <= high:
-                    span = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
-                    share = ", where 0.05 is 5 %" if high == 1.0 else ""
-                    raise UsageError(
-                        f"--fail-{side} {name}={value:g}: this figure is {span}{share}, so it is never beyond that "
-                        "limit, or always"
-                    )
-                limits += (Limit(name, value, is_least=side == "below"),)
-    return limits
+    limits = []
+    for side in ("below", "above"):
+        for name, value in getattr(arguments, f"fail_{side}"):
+            condition = f"--fail-{side} {name}={value:g}"
+            try:
+                check_figure(name)
+            except UsageError as error:
+                raise UsageError(f"{condition}: {error}") from error
+            low, high = span_of(name)
+            if not low <= value <= high:
+                span = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
+                share = ", where 0.05 is 5 %" if high == 1.0 else ""
+                raise UsageError(f"{condition}: this figure is {span}{share}; it is never beyond that limit, or always")
+            limits.append(Limit(name, value, is_least=side == "below"))
+    return tuple(limits)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import errno
+import gc
+import importlib
 import io
 import os
 import sys
@@ -13,15 +15,12 @@ from pathlib import Path
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
-from skd_sim.start import import_lasting
 
-from skd_evaluator.cli.arguments import EXIT_USAGE
-from skd_evaluator.cli.commands import make_parser, parse
 from skd_evaluator.cli.output import give_up, keep_for_json
+from skd_evaluator.cli.parser import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, make_parser, parse
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import begin_command, what_is_in_place
 
-EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 _OF_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
 """Errors of names that were given, and not of the machine."""
 _LIMITS = {
@@ -53,8 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         as_json = getattr(arguments, "json", False)
         if as_json:
             keep_for_json()
-        # Imported only now: `skd --help` must not wait for numba and matplotlib.
-        command = import_lasting(getattr(arguments, "module", f"skd_evaluator.cli.{arguments.command}"))
+        gc.set_threshold(50_000)  # or a sixth of the time in which a command imports goes to looking for garbage
+        command = importlib.import_module(arguments.module)
         with ExitStack() as stack:
             if getattr(arguments, "quiet", False) and not as_json:
                 stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))  # noqa: PTH123

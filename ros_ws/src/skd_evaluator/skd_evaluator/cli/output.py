@@ -1,12 +1,15 @@
-"""What goes to standard output: with --json only JSON, whatever else is printed meanwhile."""
+"""What a command prints: a result or with --json only JSON on standard output, all else on standard error."""
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import IO, Any
+
+from skd_sim.inputs.files import one_line
 
 
 class _Standard:
@@ -27,7 +30,7 @@ def keep_for_json() -> None:
     """
     behind = sys.stdout
     if behind is not sys.__stdout__ or not isinstance(behind, io.TextIOWrapper) or behind.fileno() != 1:
-        return  # somebody has led it elsewhere already, as tests do
+        return  # it leads elsewhere already, as in tests
     behind.flush()
     _Standard.output = os.fdopen(os.dup(1), "w", encoding=behind.encoding, errors="replace")
     os.dup2(2, 1)
@@ -37,27 +40,50 @@ def print_json(content: Mapping[str, Any]) -> None:
     """Print JSON to standard output."""
     import json  # only now: every command begins with this module
 
-    text = json.dumps(content, indent=2, ensure_ascii=False)
-    print(text, file=_Standard.output)
+    print(json.dumps(content, indent=2, ensure_ascii=False), file=_Standard.output)
     if _Standard.output is not None:
         _Standard.output.flush()
 
 
-def closing(command: str, warnings: Iterable[str], problem: str | None = None) -> int:
-    """Print warnings, and why a result was not written, to standard error; return the exit code of a command."""
-    for line in dict.fromkeys(warnings):
-        print(f"skd {command}: warning: {line}", file=sys.stderr)
-    if problem:
-        print(f"skd {command}: {problem}", file=sys.stderr)
-    return 1 if problem else 0
+def say(command: str, *lines: str) -> None:
+    """Print lines that are no result on standard error, each with the name of its command."""
+    for line in lines:
+        print(f"skd {command}: {one_line(line)}", file=sys.stderr, flush=True)
+
+
+def warn(command: str, lines: Iterable[str]) -> None:
+    """Print warnings on standard error, each of them once."""
+    say(command, *(f"warning: {line}" for line in dict.fromkeys(lines)))
+
+
+def finish(
+    arguments: argparse.Namespace,
+    content: Mapping[str, Any],
+    show: Callable[[], None],
+    warnings: Iterable[str] = (),
+    failures: Sequence[str | None] = (),
+) -> int:
+    """Print a result, what is to be known of it, and why it failed; return the exit code.
+
+    Args:
+        arguments: arguments of the command.
+        content: the result as JSON has it.
+        show: prints it for people.
+        warnings: what to know of it, a line each.
+        failures: why the command failed, a line each; None is no failure.
+    """
+    if arguments.json:
+        print_json(content)
+    else:
+        show()
+    warn(arguments.command, warnings)
+    failed = [why for why in failures if why]
+    say(arguments.command, *failed)
+    return 1 if failed else 0
 
 
 def is_read(printing: Callable[[], None]) -> bool:
-    """Print before something is written, which is to be written whether anybody reads what is printed or not.
-
-    Returns:
-        Whether somebody did; where nobody does, further output is dropped.
-    """
+    """Print before something is written; return False where the reader has gone away, and drop all further output."""
     try:
         printing()
         sys.stdout.flush()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from rich.table import Table
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import finish
 from skd_evaluator.metrics.clustered import DISTANCES, VarianceComponents, variance_components
 from skd_evaluator.metrics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
@@ -61,18 +60,17 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     if not sizes:
         raise UsageError("even 10,000 φ are not enough: ask for a wider interval or a larger difference")
     cheapest = min(sizes, key=lambda size: (size.episodes, size.safe))
-    if arguments.json:
-        content = {
-            "figure": arguments.figure,
-            "variance_between": between,
-            "variance_within": within,
-            "source": source.text,
-            "paired": source.paired,
-            "sizes": [{**asdict(size), "episodes": size.episodes} for size in sizes],
-            "cheapest": asdict(cheapest),
-        }
-        print_json(content)
-    else:
+    content = {
+        "figure": arguments.figure,
+        "variance_between": between,
+        "variance_within": within,
+        "source": source.text,
+        "paired": source.paired,
+        "sizes": [{**asdict(size), "episodes": size.episodes} for size in sizes],
+        "cheapest": asdict(cheapest),
+    }
+
+    def show() -> None:
         unit = "" if arguments.figure == "contact_rate" else " m"
         print(
             f"{arguments.figure.replace('_', ' ')}: standard deviation {between**0.5:.3f}{unit} between φ, "
@@ -80,15 +78,14 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         )
         print_table(_table(sizes, cheapest))
         print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
-    for line in (line for one in results for line in one.remarks):
-        print(f"skd compare: warning: {line}", file=sys.stderr)
+
+    warnings = [line for one in results for line in one.remarks]
     if source.phi is not None and source.phi < _FEW:
-        print(
-            f"skd compare: warning: a variance between {source.phi} φ is itself uncertain: take more than it says, or "
-            "--until-width, which does not rely on it",
-            file=sys.stderr,
+        warnings.append(
+            f"a variance between {source.phi} φ is itself uncertain: take more than it says, or --until-width, which "
+            "does not rely on it"
         )
-    return 0
+    return finish(arguments, content, show, warnings)
 
 
 def _sizes(arguments: argparse.Namespace, source: _Variances, between: float, within: float) -> list[Size]:

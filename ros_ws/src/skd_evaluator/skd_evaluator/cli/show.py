@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from skd_sim.world.episode import Mode, Outcome
 from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import finish
 from skd_evaluator.metrics.surrogate_measures import episode_measures
 from skd_evaluator.metrics.surrogate_scenes import course_of
 from skd_evaluator.report.episode_pictures import ShownEpisode, believed_car, check_format, save_episode
@@ -68,17 +67,14 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
             write_json(folder / name, inside)
         write_json(folder / "show.json", content)
 
+    def show() -> None:
+        for one in entries:
+            print(f"{out.path / str(one['file'])}: {one['title']}")
+            print(f"  {_said(one['measures'])}")
+            print(f"  {one['command']}")
+
     out.write(write)
-    for line in subject.warnings:
-        print(f"skd report: warning: {line}", file=sys.stderr)
-    if arguments.json:
-        print_json(content)
-        return 0
-    for one in entries:
-        print(f"{out.path / str(one['file'])}: {one['title']}")
-        print(f"  {_said(one['measures'])}")
-        print(f"  {one['command']}")
-    return 0
+    return finish(arguments, content, show, subject.warnings)
 
 
 def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:

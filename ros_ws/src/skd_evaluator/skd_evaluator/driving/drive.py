@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import select
 import sys
 import termios
@@ -74,7 +75,7 @@ class Situation:
         if not math.isnan(self.age):
             found.append(("age of the command", f"{self.age:.3f} s"))
         if not math.isnan(self.strayed):
-            found.append(("strayed from φ", f"{self.strayed:.2f} m"))
+            found.append(("deviation from φ", f"{self.strayed:.2f} m"))
         return found
 
     def line(self) -> str:
@@ -225,7 +226,7 @@ class Controls:
 
 
 _ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
-_ESCAPE: Final = "\x1b"
+_KEY: Final = re.compile("\x1b[\\[O][^A-Za-z~]*([A-Za-z~]?)|(.)", re.DOTALL)
 _WAIT = 0.1  # s
 
 
@@ -235,22 +236,11 @@ def key_names(text: str) -> Iterator[str]:
     A terminal sends an arrow as ESC [ A or ESC O A, with digits and a semicolon in between where another key was held
     (ECMA-48; xterm's control sequences). Other sequences mean nothing here; ESC alone is the key itself.
     """
-    place = 0
-    while place < len(text):
-        one = text[place]
-        place += 1
-        if one != _ESCAPE:
-            yield one.lower()
-            continue
-        if text[place : place + 1] not in ("[", "O"):
-            yield "escape"
-            continue
-        place += 1
-        while place < len(text) and not text[place].isalpha() and text[place] != "~":
-            place += 1
-        if (name := _ARROWS.get(text[place : place + 1])) is not None:
-            yield name
-        place += 1
+    for end, key in _KEY.findall(text):
+        if key:
+            yield "escape" if key == "\x1b" else key.lower()
+        elif end in _ARROWS:
+            yield _ARROWS[end]
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
@@ -33,19 +33,20 @@ class Screen:
     """The picture of the last situation, drawn anew some times a second.
 
     Attributes:
+        console: the terminal.
         waiting: what is said as long as the car has not commanded anything.
         over: how the episode ended; empty while it runs.
     """
 
-    def __init__(self, title: str, keys: str, console: Console) -> None:
+    def __init__(self, title: str, keys: str, console: Console | None = None) -> None:
         """Show nothing yet.
 
         Args:
             title: who drives.
             keys: which keys there are.
-            console: the terminal.
+            console: the terminal; by default that behind standard output.
         """
-        self._title, self._keys, self._console = title, keys, console
+        self._title, self._keys, self.console = title, keys, console or Console()
         self._situation: Situation | None = None
         self.waiting = "starting"
         self.over = ""
@@ -56,7 +57,7 @@ class Screen:
 
     def __rich__(self) -> Group:
         """Return what is to be seen now."""
-        situation, (width, height) = self._situation, self._console.size
+        situation, (width, height) = self._situation, self.console.size
         title = Text(self._title, "bold", overflow="ellipsis", no_wrap=True)
         keys = Text(self._keys, "dim", overflow="ellipsis", no_wrap=True)
         if situation is None:
@@ -64,7 +65,7 @@ class Screen:
         figures = Text.assemble(*_figures(situation, width))
         silent = self.waiting if math.isnan(situation.command) else ""
         state = Text(self.over or silent, "bold reverse" if self.over else "")
-        lines = len(state.wrap(self._console, width)) or 1
+        lines = len(state.wrap(self.console, width)) or 1
         picture = top_view(situation, width, max(_LEAST_HEIGHT, height - _BESIDE - lines))
         return Group(title, picture, figures, state, keys)
 
@@ -80,22 +81,17 @@ def _figures(situation: Situation, width: int) -> Iterator[str | tuple[str, str]
 
 
 @contextmanager
-def drawing(screen: Screen, console: Console) -> Iterator[None]:
-    """Draw a screen on a terminal as long as this lasts; afterwards it is as it was before."""
-    live = Live(screen, console=console, screen=True, refresh_per_second=_REFRESH, redirect_stdout=False,
+def drawing(screen: Screen) -> Iterator[None]:
+    """Draw a screen on its terminal as long as this lasts; afterwards it is as it was before."""
+    live = Live(screen, console=screen.console, screen=True, refresh_per_second=_REFRESH, redirect_stdout=False,
                 redirect_stderr=False)  # fmt: skip
     with live:
         yield
 
 
-def terminal() -> Console:
-    """Return the terminal behind standard output."""
-    return Console()
-
-
 def can_draw() -> bool:
     """Return whether standard output is a terminal that pictures can be drawn on, which TERM=dumb is not."""
-    console = terminal()
+    console = Console()
     return console.is_terminal and not console.is_dumb_terminal
 
 
@@ -119,69 +115,59 @@ class Lines:
 
 _SCALES: Final = (0.5, 1.0, 2.0, 4.0)  # m: width of a letter, and half of its height
 _ROOM: Final = 6.0  # m that car and adversary are to have to the picture's edge
-_UPPER, _LOWER, _BOTH = "▀", "▄", "█"
+_SQUARES: Final = {(True, True): "█", (True, False): "▀", (False, True): "▄"}
 _EDGE, _DASH, _WAY, _SAFE, _PERSON = "─", "╌", "∙", "·", "●"
 _LANE_REACH = 60.0  # m along each lane, at the least
 _DASH_EVERY, _DASH_LENGTH = 6.0, 3.0  # m
 
 
-class TopView:
-    """A grid of letters over a part of the ground."""
+class _TopView:
+    """A grid of letters over a part of the ground; each stands for two squares, one above the other."""
 
-    def __init__(self, width: int, height: int, middle: tuple[float, float], half: float) -> None:
+    def __init__(self, width: int, height: int, middle: tuple[float, float], side: float) -> None:
         """Begin with nothing.
 
         Args:
             width: in letters.
             height: in letters.
             middle: place (x, y) of the world in the middle of it, m.
-            half: width of a letter, and half of its height, m.
+            side: of a square: width of a letter, and half of its height, m.
         """
-        self.half = half
-        self._width, self._height = width, height
-        self._middle = middle
-        self._letters = [[" "] * width for _ in range(height)]
-        self._colours = [[""] * width for _ in range(height)]
+        self._side, self._middle = side, np.array(middle)
+        self._cells = np.full((height, width), "", dtype=object)  # a letter and its colour
+        column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(2 * height) + 0.5)
+        self._squares = np.stack([column, row], axis=-1)
 
-    def cells(self, places: FloatArray) -> FloatArray:
-        """Return where places (n × 2, m) are in the grid: column and half row, n × 2, as real numbers."""
-        right = places[:, 1] - self._middle[1] + 0.5 * self.half * self._width
-        down = places[:, 0] - self._middle[0] + self.half * self._height
-        return np.column_stack([right, down]) / self.half
+    def _placed(self, places: FloatArray) -> FloatArray:
+        """Return where places (n × 2, m) are in the grid: column and row of squares, n × 2, as real numbers."""
+        height, width = self._cells.shape
+        away = np.asarray(places, dtype=float).reshape(-1, 2) - self._middle
+        return np.column_stack([0.5 * width + away[:, 1] / self._side, height + away[:, 0] / self._side])
 
     def points(self, places: FloatArray, letter: str, colour: str, *, over: bool = False) -> None:
         """Put a letter at each of some places (n × 2, m); with `over` also where there is another one."""
-        for column, half in np.floor(self.cells(np.asarray(places, dtype=float).reshape(-1, 2))).astype(int).tolist():
-            self._put(column, half // 2, letter, colour, over=over)
+        for column, row in np.floor(self._placed(places) / (1.0, 2.0)).astype(int).tolist():
+            inside = 0 <= row < self._cells.shape[0] and 0 <= column < self._cells.shape[1]
+            if inside and (over or not self._cells[row, column]):
+                self._cells[row, column] = letter, colour
 
     def polygon(self, corners: FloatArray, colour: str) -> None:
-        """Fill a convex polygon (k × 2, m), in halves of letters; a small one has one half at the least."""
-        placed = self.cells(corners)
-        low, high = np.floor(placed.min(axis=0)).astype(int), np.ceil(placed.max(axis=0)).astype(int)
-        columns, drawn = range(max(low[0], 0), min(high[0], self._width)), False
-        for row in range(max(low[1] // 2, 0), min(high[1] // 2 + 1, self._height)):
-            for column in columns:
-                halves = [_inside(placed, column + 0.5, 2 * row + half + 0.5) for half in (0, 1)]
-                if any(halves):
-                    letter = _BOTH if all(halves) else _UPPER if halves[0] else _LOWER
-                    self._put(column, row, letter, colour, over=True)
-                    drawn = True
-        if not drawn:
-            column, half = np.floor(placed.mean(axis=0)).astype(int).tolist()
-            self._put(column, half // 2, (_UPPER, _LOWER)[half % 2], colour, over=True)
-
-    def _put(self, column: int, row: int, letter: str, colour: str, *, over: bool) -> None:
-        if 0 <= row < self._height and 0 <= column < self._width and (over or self._letters[row][column] == " "):
-            self._letters[row][column], self._colours[row][column] = letter, colour
+        """Fill a convex polygon (k × 2, m); a small one has one square at the least."""
+        placed = self._placed(corners)
+        sides = np.roll(placed, -1, axis=0) - placed
+        away = self._squares[:, :, None] - placed
+        turns = sides[:, 0] * away[..., 1] - sides[:, 1] * away[..., 0]
+        filled = np.logical_or(np.all(turns >= 0.0, axis=-1), np.all(turns <= 0.0, axis=-1))
+        if not filled.any():
+            filled = np.all(np.abs(self._squares - placed.mean(axis=0)) <= 0.5, axis=-1)
+        upper, lower = np.asarray(filled)[::2], np.asarray(filled)[1::2]
+        for row, column in np.argwhere(upper | lower).tolist():
+            self._cells[row, column] = _SQUARES[upper[row, column], lower[row, column]], colour
 
     def text(self) -> Text:
         """Return it as text with colours."""
-        found = Text(no_wrap=True)
-        for row, (letters, colours) in enumerate(zip(self._letters, self._colours, strict=True)):
-            found.append("\n" if row else "")
-            for letter, colour in zip(letters, colours, strict=True):
-                found.append(letter, colour or None)
-        return found
+        rows = ([cell or " " for cell in row] for row in self._cells.tolist())
+        return Text("\n", no_wrap=True).join(Text.assemble(*row) for row in rows)
 
 
 def top_view(situation: Situation, width: int, height: int) -> Text:
@@ -194,7 +180,7 @@ def top_view(situation: Situation, width: int, height: int) -> Text:
     """
     car, adversary, scenario = situation.car, situation.adversary, situation.scenario
     half = _scale(situation, width, height)
-    view, fine = TopView(width, height, _middle(situation, width, half), half), 0.5 * half
+    view, fine = _TopView(width, height, _middle(situation, width, half), half), 0.5 * half
     reach = max(_LANE_REACH, half * width)
     low, high = car.y - reach, car.y + reach
     for left, right in scenario.road.surfaces(low, high):
@@ -227,7 +213,7 @@ def _middle(situation: Situation, width: int, half: float) -> tuple[float, float
     return 0.0, min(max(0.5 * (car.y + adversary.y), adversary.y - reach), adversary.y + reach)
 
 
-def _draw(view: TopView, body: Body, place: tuple[float, float], heading: float, colour: str) -> None:
+def _draw(view: _TopView, body: Body, place: tuple[float, float], heading: float, colour: str) -> None:
     if body.is_box:
         view.polygon(body.outline_at(np.array(place), heading), colour)
     else:
@@ -255,11 +241,3 @@ def _dashes(line: FloatArray, begin: float, step: float) -> FloatArray:
     places = _between(line, step)
     passed = begin + np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
     return np.asarray(places[passed % _DASH_EVERY < _DASH_LENGTH])
-
-
-def _inside(corners: FloatArray, column: float, half: float) -> bool:
-    """Tell whether a place of the grid is in a convex polygon."""
-    sides = np.roll(corners, -1, axis=0) - corners
-    away = np.array([column, half]) - corners
-    turns: Iterable[float] = sides[:, 0] * away[:, 1] - sides[:, 1] * away[:, 0]
-    return all(one >= 0.0 for one in turns) or all(one <= 0.0 for one in turns)

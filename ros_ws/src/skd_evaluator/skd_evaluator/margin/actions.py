@@ -115,6 +115,6 @@ def require_exact(episode: EpisodeSpec) -> None:
     """
     why = _why_not(episode.car, episode.scenario)
     if not why and (episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None):
-        why = f"only of a kamikaze episode it is asked who could have been hit, not in mode {episode.mode.name}"
+        why = f"there is a margin of kamikaze episodes alone, and none in mode {episode.mode.name}"
     if why:
         raise ValueError(why)

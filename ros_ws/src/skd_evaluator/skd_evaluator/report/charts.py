@@ -19,7 +19,9 @@ from skd_sim.arrays import FloatArray
 from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator import palette
+from skd_evaluator.assessment.compare.comparison import MARGIN
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, SHARE, Figure, shown_in
+from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 
@@ -392,6 +394,32 @@ def save_rating(path: Path, cars: Sequence[ChartedCar]) -> None:
     """Save margin against the risk at each scale; a line joins the basic cars where there are several."""
     charts = [rating_chart(cars, scale) for scale in SCALES]
     save_charts(path, charts, "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below")
+
+
+def save_comparison(folder: Path, results: Mapping[str, StoredResult], ranked_by: str | None) -> None:
+    """Save the pictures of results by the names of their cars: vulnerability curves, and margin against risk.
+
+    Args:
+        folder: of the pictures.
+        results: of at least two cars.
+        ranked_by: the figure that ranks them; None: curves of unlike kind say nothing beside each other.
+    """
+    by_margin, first = ranked_by == MARGIN, next(iter(results.values()))
+    cars = []
+    for name, one in results.items():
+        least, planned = one.margin_curve if by_margin else None, one.curve
+        curves: Spec = {
+            "kamikazes": planned.as_dict() if planned else {},
+            "budgets": [],
+            "margins": least and least.as_dict(),
+        }
+        cars.append(ChartedCar(name, one.figures, curves=curves))
+    cars = coloured(cars)
+    if ranked_by is not None:
+        save_vulnerability(folder / "vulnerability.png", cars)
+    same = all(alike(first.figures, one.figures) and first.same_safe(one.safe) for one in results.values())
+    if by_margin and same and all(has_risks(one.figures) for one in cars):
+        save_rating(folder / "rating.png", cars)
 
 
 def rating_chart(cars: Sequence[ChartedCar], scale: float) -> Spec:

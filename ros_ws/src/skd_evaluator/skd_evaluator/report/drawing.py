@@ -85,18 +85,36 @@ def draw_car(axes: Axes, scenario: Scenario, along: float, label: str | None = N
     return outline
 
 
-def draw_fronts(axes: Axes, scenario: Scenario, alongs: FloatArray, label: str | None = None) -> None:
-    """Draw where the front of the car was before, as lines across it: path coordinates, m."""
+def draw_before(
+    axes: Axes, scenario: Scenario, alongs: FloatArray, label: str | None = None, *, whole: bool = False
+) -> None:
+    """Draw where the car was before, as lines across its front, or `whole` as outlines: path coordinates, m."""
     for index, along in enumerate(alongs.tolist()):
-        front = car_outline(scenario, along)[[0, 3]]
-        axes.plot(*front.T, color=palette.CAR, lw=1.1, ls=(0, (3, 2)), zorder=2, label=label if index == 0 else None)
+        outline = car_outline(scenario, along)
+        places = np.concatenate([outline, outline[:1]]) if whole else outline[[0, 3]]
+        said = label if index == 0 else None
+        axes.plot(*places.T, color=palette.CAR, lw=1.0, ls=(0, (3, 2)), zorder=2, label=said)
 
 
-def draw_ghosts(axes: Axes, scenario: Scenario, alongs: FloatArray, label: str | None = None) -> None:
-    """Draw where the car was before, as outlines: path coordinates, m."""
-    for index, along in enumerate(alongs.tolist()):
-        outline = Polygon(
-            car_outline(scenario, along), fc="none", ec=palette.CAR, lw=0.9, ls=(0, (3, 2)), zorder=2,
-            label=label if index == 0 else None,
-        )  # fmt: skip
-        axes.add_patch(outline)
+def write_time(axes: Axes, time: float, place: FloatArray, colour: str, offset: tuple[float, float]) -> None:
+    """Write a time (s) beside a place (m), so many points away from it."""
+    axes.annotate(
+        f"{time:.1f} s", (place[0], place[1]), xytext=offset, textcoords="offset points", fontsize=TYPE, color=colour,
+        zorder=6, ha="left" if offset[0] else "center",
+        va="center" if offset[0] else "top" if offset[1] < 0 else "bottom",
+        bbox={"fc": "white", "ec": "none", "alpha": 0.6, "pad": 0.5}, clip_on=True,
+    )  # fmt: skip
+
+
+def extent_of(*shapes: FloatArray, beside: float) -> tuple[float, float, float, float]:
+    """Return what a picture of shapes (n × 2, m) shows, with so many m beside it: x from and to, y from and to, m."""
+    points = np.concatenate(shapes)
+    (left, low), (right, high) = points.min(axis=0) - beside, points.max(axis=0) + beside
+    return float(left), float(right), float(low), float(high)
+
+
+def set_extent(axes: Axes, box: tuple[float, float, float, float]) -> None:
+    """Let axes show a part of the ground, to scale, with its names."""
+    axes.set_xlim(*box[:2])
+    axes.set_ylim(*box[2:])
+    axes.set_aspect("equal")

@@ -27,12 +27,14 @@ from skd_evaluator.report.drawing import (
     PAGE,
     TYPE,
     car_outline,
+    draw_before,
     draw_car,
-    draw_fronts,
-    draw_ghosts,
     draw_road,
+    extent_of,
     front_band,
     save_picture,
+    set_extent,
+    write_time,
 )
 
 mpl.use("Agg")
@@ -94,14 +96,12 @@ def save_scenario(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) ->
     told = (
         "car under test when it reaches the target's way, unbraked" if ways else "car under test at the crossing line"
     )
-    draw_ghosts(axes, scenario, np.array([meets]), told)
+    draw_before(axes, scenario, np.array([meets]), told, whole=True)
     _draw_ways(axes, scenario, ways)
     axes.add_patch(
         Polygon(body, fc=palette.KAMIKAZE, ec="black", zorder=7, label=f"adversary ({adversary.kind}) at the start")
     )
-    axes.set_xlim(box[0], box[1])
-    axes.set_ylim(box[2], box[3])
-    axes.set_aspect("equal")
+    set_extent(axes, box)
     axes.set_xlabel("x, East (m)")
     axes.set_ylabel("y, North (m)")
     axes.set_title(f"{scenario.name}, {3.6 * car.start_speed:.0f} km/h", fontsize=10, parse_math=False)
@@ -138,9 +138,7 @@ def _scenario_extent(scenario: Scenario, shapes: Sequence[FloatArray]) -> tuple[
     parked = [obstacle.corners for obstacle in scenario.obstacles]
     first = zip(scenario.others, scenario.others_at(0), strict=True)
     others = [other.outline_at(np.array(state[:2]), state.heading) for other, state in first]
-    points = np.concatenate([*shapes, *parked, *others])
-    low, high = points.min(axis=0) - _BESIDE, points.max(axis=0) + _BESIDE
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+    return extent_of(*shapes, *parked, *others, beside=_BESIDE)
 
 
 DPI, _FILM_DPI = 150, 110
@@ -245,7 +243,7 @@ class EpisodePicture:
     def _draw_above(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
         shown, scenario = self._shown, self._shown.scenario
         draw_road(axes, scenario, -_LANE, _LANE, float(shown.times[-1]))
-        draw_fronts(axes, scenario, shown.along[:-1], "front of the car at each tick, with its time")
+        draw_before(axes, scenario, shown.along[:-1], "front of the car at each tick, with its time")
         self._label_fronts(axes, box)
         axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
         axes.plot(
@@ -262,11 +260,7 @@ class EpisodePicture:
         for time, place in zip(shown.times.tolist(), shown.adversary, strict=True):
             if all(np.linalg.norm(place - other) >= _APART for other in labelled):
                 labelled.append(place)
-                axes.annotate(
-                    f"{time:.1f} s", place, xytext=(0, 8), textcoords="offset points", fontsize=TYPE, ha="center",
-                    color=palette.KAMIKAZE, zorder=8,
-                    bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
-                )  # fmt: skip
+                write_time(axes, time, place, palette.KAMIKAZE, (0, 8))
         self._car = draw_car(axes, scenario, float(shown.along[-1]), "car")
         self._car.set_zorder(3)
         self._believed = []
@@ -285,9 +279,7 @@ class EpisodePicture:
         (self._there,) = axes.plot(
             [], [], "o", mfc="none", mec=palette.SAFE, mew=2, ms=10, zorder=6, label="φ at that time"
         )
-        axes.set_xlim(box[0], box[1])
-        axes.set_ylim(box[2], box[3])
-        axes.set_aspect("equal")
+        set_extent(axes, box)
         axes.set_xlabel("x, East (m)", fontsize=9)
         axes.set_ylabel("y, North (m)", fontsize=9)
         self._clock = axes.set_title("", loc="right", fontsize=9)
@@ -299,10 +291,7 @@ class EpisodePicture:
             _, (x, y) = car_outline(scenario, along)[[0, 3]].tolist()
             if box[2] < y < box[3] and (last is None or np.hypot(x - last[0], y - last[1]) > _CAR_TIMES):
                 last = (x, y)
-                axes.annotate(
-                    f"{time:.1f} s", (x, y), xytext=(4, 0), textcoords="offset points", fontsize=TYPE, va="center",
-                    color=palette.CAR, zorder=3, clip_on=True,
-                )  # fmt: skip
+                write_time(axes, time, np.array(last), palette.CAR, (4, 0))
 
     def _draw_distances(self, axes: Axes) -> None:
         shown = self._shown
@@ -322,11 +311,8 @@ class EpisodePicture:
 def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     """Return what the picture shows: x from and to, y from and to, m."""
     cars = np.concatenate([car_outline(shown.scenario, float(along)) for along in shown.along])
-    points = np.concatenate([shown.phi, shown.adversary, cars])
-    low, high = points.min(axis=0) - 0.8, points.max(axis=0) + 0.8
-    if shown.scenario.road.straight:
-        low[1] = max(low[1], high[1] - _MOST)
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+    left, right, low, high = extent_of(shown.phi, shown.adversary, cars, beside=0.8)
+    return left, right, max(low, high - _MOST) if shown.scenario.road.straight else low, high
 
 
 def check_format(name: str) -> None:

@@ -134,57 +134,44 @@ def read_run(folder: Path) -> Run:
 
 
 @dataclass(frozen=True)
-class Step:
-    """An assessment among those of its car.
-
-    Attributes:
-        run: the assessment.
-        comparison: with the one before; None for the first.
-    """
-
-    run: Run
-    comparison: Comparison | None = None
-
-    def as_dict(self, figure: str) -> dict[str, Any]:
-        """Return it as JSON has it; the verdict goes by margin and risk, whichever figure is followed."""
-        compared = self.comparison
-        change = None if compared is None else compared.differences.get(figure)
-        return {
-            "folder": str(self.run.folder),
-            "date": self.run.date,
-            "revision": self.run.revision,
-            "value": self.run.figures.get(figure),
-            "ci95": self.run.figures.get(f"{figure}_ci95"),
-            "verdict": "" if compared is None else compared.verdict_beside(figure),
-            "credible": not self.run.not_credible,
-            "difference": None if change is None else change.value,
-            "difference_interval": None if change is None else change.interval,
-            "lines": [] if compared is None else compared.lines(),
-        }
-
-
-@dataclass(frozen=True)
 class Trend:
     """How a car has changed in a scenario.
 
     Attributes:
         car: name of the car.
         scenario: name of the scenario.
-        figure: key of the figure.
-        steps: the assessments, the earliest first.
+        figure: key of the figure that is followed.
+        runs: the assessments, the earliest first.
+        comparisons: of each with the one before; None for the first.
         confidence: of each verdict.
     """
 
     car: str
     scenario: str
     figure: str
-    steps: tuple[Step, ...]
+    runs: tuple[Run, ...]
+    comparisons: tuple[Comparison | None, ...]
     confidence: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return it as JSON has it; verdicts go by margin and risk, whichever figure is followed."""
         about = {"car": self.car, "scenario": self.scenario, "figure": self.figure, "confidence": self.confidence}
-        return {**about, "runs": [step.as_dict(self.figure) for step in self.steps]}
+        return {**about, "runs": [self._row(*pair) for pair in zip(self.runs, self.comparisons, strict=True)]}
+
+    def _row(self, run: Run, compared: Comparison | None) -> dict[str, Any]:
+        change = None if compared is None else compared.differences.get(self.figure)
+        return {
+            "folder": str(run.folder),
+            "date": run.date,
+            "revision": run.revision,
+            "value": run.figures.get(self.figure),
+            "ci95": run.figures.get(f"{self.figure}_ci95"),
+            "verdict": "" if compared is None else compared.verdict_beside(self.figure),
+            "credible": not run.not_credible,
+            "difference": None if change is None else change.value,
+            "difference_interval": None if change is None else change.interval,
+            "lines": [] if compared is None else compared.lines(),
+        }
 
 
 def trends_of(runs: Sequence[Run], figure: str, compare: Callable[[Run, Run, float], Comparison | None]) -> list[Trend]:
@@ -203,8 +190,8 @@ def trends_of(runs: Sequence[Run], figure: str, compare: Callable[[Run, Run, flo
     found = []
     for (car, scenario), mine in sorted(groups.items()):
         confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
-        later = (Step(run, compare(before, run, confidence)) for before, run in itertools.pairwise(mine))
-        found.append(Trend(car, scenario, figure, (Step(mine[0]), *later), confidence))
+        later = (compare(before, run, confidence) for before, run in itertools.pairwise(mine))
+        found.append(Trend(car, scenario, figure, tuple(mine), (None, *later), confidence))
     return found
 
 
@@ -216,15 +203,8 @@ _number, _interval = TERMINAL.number, TERMINAL.interval
 def runs_table(runs: Sequence[Run]) -> Table:
     """Return the table of assessments that could be read, a row each; those with a remark are marked."""
     parent = _common_parent(runs)
-    table = narrow_table(f"Assessments in {escape(str(parent))}, as they are written")
-    for name in ("folder", "car", "scenario"):
-        table.add_column(name, overflow="fold")
-    for name in ("margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("code of\nthe car", no_wrap=True)
-    table.add_column("date\n(UTC)")
-    for run in runs:
-        table.add_row(
+    rows = [
+        (
             f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.warnings else ''}",
             escape(run.car),
             escape(run.scenario),
@@ -235,7 +215,11 @@ def runs_table(runs: Sequence[Run]) -> Table:
             run.revision or _UNKNOWN,
             _minute(run.date),
         )
-    return table
+        for run in runs
+    ]
+    heads = ("folder", "car", "scenario", "margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ")
+    title = f"Assessments in {escape(str(parent))}, as they are written"
+    return narrow_table(title, (*heads, "code of\nthe car", "date\n(UTC)"), rows, whole=True)
 
 
 def _common_parent(runs: Sequence[Run]) -> Path:
@@ -253,26 +237,23 @@ def _minute(date: str) -> str:
 def trend_table(trend: Trend) -> Table:
     """Return the table of how a car has changed, the earliest result first."""
     figure = AT_THE_TOP[trend.figure]
-    parent = _common_parent([step.run for step in trend.steps])
+    parent = _common_parent(trend.runs)
     heads = ["date\n(UTC)", "code of\nthe car", figure.heading.replace(" (", "\n("), "95 %,\nby φ"]
     heads += ["against the\none before", "difference", f"{100.0 * trend.confidence:.3g} %,\nby φ", "folder"]
-    rows = []
-    for step in trend.steps:
-        told, scale = step.as_dict(trend.figure), figure.kind.scale
-        value, change = told["value"], told["difference"]
+    scale, rows = figure.kind.scale, []
+    for run, row in zip(trend.runs, trend.as_dict()["runs"], strict=True):
+        value, change = row["value"], row["difference"]
+        bound = run.figures if trend.figure == "margin" else {}
         rows.append(
             [
-                _minute(told["date"]),
-                told["revision"] or _UNKNOWN,
-                bounded_cell(
-                    step.run.figures if trend.figure == "margin" else {},
-                    _number(None if value is None else scale * value),
-                ),
-                _interval(_scaled(told["ci95"], scale), 2),
-                f"[bold]{told['verdict']}[/]{'' if told['credible'] else '[red] not credible[/]'}",
+                _minute(row["date"]),
+                row["revision"] or _UNKNOWN,
+                bounded_cell(bound, _number(None if value is None else scale * value)),
+                _interval(_scaled(row["ci95"], scale), 2),
+                f"[bold]{row['verdict']}[/]{'' if row['credible'] else '[red] not credible[/]'}",
                 "" if change is None else f"{scale * change:+.3f}",
-                "" if change is None else _interval(_scaled(told["difference_interval"], scale)),
-                escape(os.path.relpath(step.run.folder, parent)),
+                "" if change is None else _interval(_scaled(row["difference_interval"], scale)),
+                escape(os.path.relpath(run.folder, parent)),
             ]
         )
     title = f"{escape(trend.car)} in {escape(trend.scenario)}: {figure.label}; in {escape(str(parent))}"

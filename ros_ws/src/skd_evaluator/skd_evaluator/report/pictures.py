@@ -23,8 +23,18 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.objective_result import ObjectiveResult
 from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.metrics.statistics import mean
-from skd_evaluator.report.drawing import PAGE, TYPE, car_outline, draw_car, draw_fronts, draw_road, save_picture
-from skd_evaluator.report.terminal import counted
+from skd_evaluator.report.drawing import (
+    PAGE,
+    TYPE,
+    car_outline,
+    draw_before,
+    draw_car,
+    draw_road,
+    save_picture,
+    set_extent,
+    write_time,
+)
+from skd_evaluator.report.formats import counted
 
 mpl.use("Agg")
 
@@ -170,15 +180,9 @@ def _draw_panel(axes: Axes, scenario: Scenario, phi: Trajectory, box: tuple[floa
         if np.linalg.norm(place - last) < _BETWEEN:
             continue
         last = place
-        axes.annotate(
-            f"{number * phi.time_step:.1f} s", place, xytext=(0, -4), textcoords="offset points",
-            fontsize=TYPE, ha="center", va="top", color=palette.SAFE, zorder=6,
-            bbox={"fc": "white", "ec": "none", "alpha": 0.6, "pad": 0.5},
-        )  # fmt: skip
+        write_time(axes, number * phi.time_step, place, palette.SAFE, (0, -4))
     axes.tick_params(labelsize=TYPE)
-    axes.set_xlim(*box[:2])
-    axes.set_ylim(*box[2:])
-    axes.set_aspect("equal")
+    set_extent(axes, box)
 
 
 def _draw_kamikazes(axes: Axes, result: ObjectiveResult, logs: Sequence[EpisodeLog]) -> None:
@@ -214,14 +218,14 @@ def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], l
     along = right_and_along(scenario.road.line, np.ascontiguousarray(log.car[:, :2]))[:-1, 1]
     visible = along[along + scenario.car.front > low] if scenario.road.straight else along
     draw_car(axes, scenario, last_car_position(log), "car, median at impact", 0.6)
-    draw_fronts(axes, scenario, visible, "its front at the ticks before, with their times")
+    draw_before(axes, scenario, visible, "its front at the ticks before, with their times")
     if not scenario.road.straight:
         return
     for number, place in enumerate(along.tolist()):
         front = place + scenario.car.front
         if low < front < last_car_position(log) + scenario.car.front - 0.35:
-            time, beside = number * scenario.time_step, scenario.car.half_width + 0.15
-            axes.text(beside, front, f"{time:.1f} s", fontsize=TYPE, va="center", zorder=3, clip_on=True)
+            edge = np.array([scenario.car.half_width, front])
+            write_time(axes, number * scenario.time_step, edge, palette.CAR, (4, 0))
 
 
 def _cross_out(axes: Axes, words: str) -> None:

@@ -12,8 +12,9 @@ from xml.etree import ElementTree
 
 from skd_evaluator.assessment.compare.gate import Check
 from skd_evaluator.assessment.figure_table import shown_in
-from skd_evaluator.report.formats import BARE, margin_warnings, ninety
+from skd_evaluator.report.formats import BARE, ninety
 from skd_evaluator.report.terminal import headline
+from skd_evaluator.report.warnings import figure_warnings
 
 _MARKS = {"passed": "✅", "failed": "❌", "error": "⚠️"}
 
@@ -39,7 +40,7 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     for one in checks:
         state = "passed" if one.passed else "error" if one.error else "failed"
         lines.append(f"| {_cell(one.name)} | {_MARKS[state]} {state} | {_cell(one.text)} |")
-    warnings = [*margin_warnings(result, 0, 0), *result["warnings"]]
+    warnings = dict.fromkeys([*figure_warnings(result), *result["warnings"]])
     lines += ["", *(f"* {_cell(line)}" for line in warnings)]
     return "\n".join([*lines, _origin(result)]).rstrip() + "\n"
 

@@ -17,13 +17,13 @@ from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from skd_sim.options.car_under_test import EXTERNAL
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
-from skd_evaluator.bags.checks import Damage
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.report.formats import (
     NO_RATING,
     NOTHING,
     TERMINAL,
     bounded,
+    counted,
     failures_in,
     how_many,
     ninety,
@@ -31,13 +31,6 @@ from skd_evaluator.report.formats import (
     surrogate_rows,
 )
 from skd_evaluator.report.rows import figure_rows
-
-
-def counted(number: int, thing: str) -> str:
-    """Return a number with its noun, which takes an s for all but one."""
-    several = f"{thing[:-1]}ies" if thing.endswith("ory") else f"{thing}s"
-    return f"{number} {thing if number == 1 else several}"
-
 
 _EXACT = 5e-4  # m, of which nothing is seen in three digits
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
@@ -221,12 +214,27 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     return narrow_table("Each safe trajectory φ", heads, rows)
 
 
-def narrow_table(title: str, heads: Sequence[str] = (), rows: Iterable[Sequence[str]] = ()) -> Table:
-    """Return a table that spends no columns on edges and padding: for many figures a row; only figures stand right."""
+_LEFT = (
+    "folder", "source", "what happens", "of", "adversary", "impact places (%)", "car", "scenario", "code of\nthe car",
+    "date\n(UTC)",
+)  # fmt: skip
+"""Heads of columns of words beside the first."""
+
+
+def narrow_table(
+    title: str, heads: Sequence[str] = (), rows: Iterable[Sequence[str]] = (), *, whole: bool = False
+) -> Table:
+    """Return a table that spends no columns on edges and padding: for many figures a row; only figures stand right.
+
+    With `whole` figures are never broken, however narrow the terminal is.
+    """
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
     for place, name in enumerate(heads):
-        right = place and name not in ("folder", "source", "what happens", "of")
-        table.add_column(name, justify="right" if right else "left", overflow="ellipsis" if right else "fold")
+        right = place and name not in _LEFT
+        if right:
+            table.add_column(name, justify="right", no_wrap=whole, overflow="fold" if whole else "ellipsis")
+        else:
+            table.add_column(name, overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table
@@ -257,37 +265,3 @@ def print_table(table: Table) -> None:
     assert isinstance(console.file, io.StringIO)
     for line in console.file.getvalue().splitlines():
         print(line.rstrip())
-
-
-_SHOWN = 10
-
-
-def say_damage(command: str, damage: Damage) -> None:
-    """Say on the error stream what was left out, and what is to be known of the rest.
-
-    Args:
-        command: name of the command that read the recordings.
-        damage: what was found in them.
-    """
-    say_left_out(command, damage)
-    lines = list(damage.warnings)
-    if damage.unchecked:
-        first = f"{damage.unchecked[0]}" + (", …" if len(damage.unchecked) > 1 else "")
-        lines.append(
-            f"{counted(len(damage.unchecked), 'file')} without checksums ({first}): damage that leaves a possible "
-            "episode cannot be noticed there"
-        )
-    _warn(command, lines)
-
-
-def say_left_out(command: str, damage: Damage) -> None:
-    """Say on the error stream what was left out, the first of it in full."""
-    lines = [f"left out: {line}" for line in damage.left_out[:_SHOWN]]
-    if len(damage.left_out) > _SHOWN:
-        lines.append(f"left out: {len(damage.left_out) - _SHOWN} more")
-    _warn(command, lines)
-
-
-def _warn(command: str, lines: Sequence[str]) -> None:
-    for line in lines:
-        print(f"skd {command}: warning: {one_line(line)}", file=sys.stderr)

@@ -136,7 +136,7 @@ class Watched:
         if wish is Wish.QUIT:
             raise LeftError
         if wish is Wish.AGAIN and self._evaluator is not None:
-            self._evaluator.give_up("somebody began anew")
+            self._evaluator.give_up("the user began anew")
 
     def driver(self, evaluator: Evaluator) -> Drive:
         """Return what runs an episode of an evaluator's graph."""

@@ -42,15 +42,9 @@ from skd_evaluator.assessment.stages.pipeline import compile_for_graph, run_stag
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
-from skd_evaluator.report.presentation import (
-    episode_line,
-    fill,
-    fill_episode,
-    warnings_of,
-    why_failed,
-    write_with_scratch,
-)
+from skd_evaluator.report.presentation import episode_line, fill, fill_episode, write_with_scratch
 from skd_evaluator.report.terminal import headline
+from skd_evaluator.report.warnings import warnings_of, why_failed
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import campaign_name
 from skd_evaluator.ros.stack import resetting

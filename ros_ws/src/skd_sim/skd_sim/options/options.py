@@ -221,8 +221,7 @@ class EpisodeOptions:
     )
     adversary_model: AdversaryModel | None = option(
         None,
-        "what the adversary knows of the car: generic (it expects a basic one), learned (from test drives or "
-        "--car-model), exact (C)",
+        "what the adversary knows of the car: generic (a basic one), learned (test drives or --car-model), exact (C)",
         AdversaryModel,
         choices=Names(tuple(map(str, AdversaryModel))),
         metavar="{" + ",".join(AdversaryModel) + "}",

@@ -34,8 +34,7 @@ from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods,
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
-from skd_evaluator.report.presentation import aborted_lines
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED, aborted_lines
 
 SAMPLE: Final = 24
 """Episodes that are run again, at most."""
@@ -54,7 +53,7 @@ _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with warnings: episodes that were aborted, and a user's car that hardly drives."""
     plan = assessment.plan
-    lines = [*aborted_lines(assessment), *missed_periods(plan.controller, assessment.logs)]
+    lines = [*aborted_lines(assessment.as_dict()), *missed_periods(plan.controller, assessment.logs)]
     if not plan.car.is_own:
         lines += standing(plan.controller, assessment.nominal_runs)
         if is_own_world(plan.simulator) and len(assessment.reasons) < assessment.episodes:
@@ -143,8 +142,8 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
     log, other = changed[0]
     lost = f", aborted then: {other.reason}" if other.outcome == Outcome.ABORTED else ""
     return (
-        f"{begin}{len(changed)} of {len(first)} episodes went differently when they were run again in another order, "
-        f"{hits} of them with a hit in one of the two runs alone (the first is episode {log.episode.episode_id}, mode "
+        f"{begin}{len(changed)} of {len(first)} episodes went differently when they were run again in another order; "
+        f"in {hits} of them one of the two runs alone has a hit (first: episode {log.episode.episode_id}, mode "
         f"{log.episode.mode.name.lower()}{lost}): {car} keeps something from one episode to the next, or draws from "
         "another generator than the one that reset gives it; so its figures depend on the order of the episodes. Let "
         "reset undo all that an episode leaves, and draw from its rng",

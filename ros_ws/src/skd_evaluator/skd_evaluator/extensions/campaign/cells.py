@@ -32,7 +32,7 @@ from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.extensions.campaign.campaign_file import Combination
 from skd_evaluator.provenance import code_digests, environment
-from skd_evaluator.report.presentation import warnings_of, why_failed
+from skd_evaluator.report.warnings import warnings_of, why_failed
 
 
 @dataclass(frozen=True)

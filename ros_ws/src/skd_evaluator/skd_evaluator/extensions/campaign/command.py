@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,18 +20,18 @@ from skd_evaluator.assessment.stages.margin import margins_compiled_in_backgroun
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
 from skd_evaluator.assessment.stages.risk import warm_up_risk
 from skd_evaluator.cli.arguments import output_path, runner_of
-from skd_evaluator.cli.assess import EXIT_INTERRUPTED
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import finish, print_json, say, warn
+from skd_evaluator.cli.parser import EXIT_INTERRUPTED
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign.campaign import Campaign
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, make_cells, planned_rows
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.report.formats import interval, number, percent
+from skd_evaluator.report.formats import counted, interval, number, percent
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.repeat import program
 from skd_evaluator.report.tables import credibility_mark, equal_remarks
-from skd_evaluator.report.terminal import bounded_cell, counted, narrow_table, print_table
+from skd_evaluator.report.terminal import bounded_cell, narrow_table, print_table
 from skd_evaluator.ros.session import prepare_ros
 
 _CELLS_ON_A_CLUSTER = 8
@@ -75,12 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _say_resumed(campaign: Campaign, cells: Sequence[Cell], *, quiet: bool) -> None:
     """Say how far a campaign is, and of which cars it is not known whether they are still the same."""
     if not quiet:
-        print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
-    for label in dict.fromkeys(cell.plan.car.label for cell in cells if cell.identity["file"] is None):
-        print(
-            f"skd campaign: warning: the files of {label} are not known: it may be another car by now",
-            file=sys.stderr,
-        )
+        say("campaign", _state(campaign))
+    unknown = dict.fromkeys(cell.plan.car.label for cell in cells if cell.identity["file"] is None)
+    warn("campaign", [f"the files of {one} are not known: nothing says whether it is the same car" for one in unknown])
 
 
 def _prepare_graphs(cells: Sequence[Cell]) -> None:
@@ -144,7 +140,7 @@ def _state(campaign: Campaign) -> str:
 def _interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
     if arguments.json:
         print_json({"interrupted": True, **campaign.content})
-    print(f"skd campaign: interrupted; {_state(campaign)}; go on with: {_go_on(arguments, out)}", file=sys.stderr)
+    say("campaign", f"interrupted; {_state(campaign)}; go on with: {_go_on(arguments, out)}")
     return EXIT_INTERRUPTED
 
 
@@ -159,36 +155,31 @@ def _go_on(arguments: argparse.Namespace, out: Path) -> str:
 def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
     rows = planned_rows(cells)
     total, most = (sum(row[key] for row in rows) for key in ("episodes", "most"))
-    if arguments.json:
-        print_json({"cells": rows, "episodes": total, "most": most})
-        return 0
-    print_table(plan_table(rows))
-    print(f"{counted(len(rows), 'cell')}, {total} episodes; at most {most} where kamikazes fail")
-    return 0
+
+    def show() -> None:
+        print_table(plan_table(rows))
+        print(f"{counted(len(rows), 'cell')}, {total} episodes; at most {most} where kamikazes fail")
+
+    return finish(arguments, {"cells": rows, "episodes": total, "most": most}, show)
 
 
 def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
     content: dict[str, Any] = campaign.content
-    if arguments.json:
-        print_json(content)
-    else:
-        print_table(campaign_table(content["cells"]))
+    rows = content["cells"]
+    assert all(row["state"] in (DONE, FAILED) for row in rows)
+
+    def show() -> None:
+        print_table(campaign_table(rows))
         print(f"{content['seconds']:.1f} s; results in {out}")
-    failures = 0
-    if content["planned_refusal"]:
-        print(f"skd campaign: warning: {content['planned_refusal']}", file=sys.stderr)
-    for remark in equal_remarks(content["cells"], "name"):
-        print(f"skd campaign: warning: {remark}", file=sys.stderr)
-    for row in content["cells"]:
-        for warning in row["warnings"]:
-            print(f"skd campaign: warning: {row['name']}: {warning}", file=sys.stderr)
-    for row in content["cells"]:
-        for problem in row["problems"]:
-            failures += 1
-            state = "failed: " if row["state"] == FAILED else ""
-            print(f"skd campaign: {row['name']}: {state}{problem}", file=sys.stderr)
-    assert all(row["state"] in (DONE, FAILED) for row in content["cells"])
-    return 1 if failures else 0
+
+    refusal = [content["planned_refusal"]] if content["planned_refusal"] else []
+    warnings = [f"{row['name']}: {line}" for row in rows for line in row["warnings"]]
+    failures = [
+        f"{row['name']}: {'failed: ' if row['state'] == FAILED else ''}{problem}"
+        for row in rows
+        for problem in row["problems"]
+    ]
+    return finish(arguments, content, show, [*refusal, *equal_remarks(rows, "name"), *warnings], failures)
 
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:

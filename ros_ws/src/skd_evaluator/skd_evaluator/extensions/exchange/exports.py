@@ -18,7 +18,7 @@ from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import closing, print_json
+from skd_evaluator.cli.output import finish
 from skd_evaluator.extensions.exchange.osi import osi_name, osi_writer, write_osi
 from skd_evaluator.extensions.exchange.scene import (
     ADVERSARY,
@@ -31,8 +31,8 @@ from skd_evaluator.extensions.exchange.scene import (
 )
 from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario, write_road
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
+from skd_evaluator.report.formats import counted
 from skd_evaluator.report.html.subjects import Subject, read_subjects
-from skd_evaluator.report.terminal import counted
 from skd_evaluator.version import version
 
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
@@ -109,14 +109,14 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
             kind.write(folder / kind.name(one.recorded), one.recorded)
         write_json(folder / EXPORT, content)
 
+    def show() -> None:
+        if not problem:
+            episodes = sum("episode_id" in one.entry for one in going)
+            said = f"{len(going) - episodes} φ and {counted(episodes, 'episode')} as {arguments.format} in {out.path}"
+            print(f"{said}; {EXPORT} says which file is which")
+
     problem = out.save(write)
-    if arguments.json:
-        print_json(content)
-    elif not problem:
-        episodes = sum("episode_id" in one.entry for one in going)
-        said = f"{len(going) - episodes} φ and {counted(episodes, 'episode')} as {arguments.format} in {out.path}"
-        print(f"{said}; {EXPORT} says which file is which")
-    return closing("export", subject.warnings, problem)
+    return finish(arguments, content, show, subject.warnings, [problem])
 
 
 _UNKNOWN_DATE = "1970-01-01T00:00:00Z"

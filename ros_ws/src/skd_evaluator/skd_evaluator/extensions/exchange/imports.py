@@ -24,11 +24,12 @@ from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.tracks import GAP, Listed, RecordingFrame, Track
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import closing, print_json
+from skd_evaluator.cli.output import finish, warn
 from skd_evaluator.extensions.exchange.options import BY_CAR
 from skd_evaluator.extensions.exchange.readers import ImportRequest, TrackSource, files_in, listing, read_sources
 from skd_evaluator.extensions.exchange.scene import IMPORT
-from skd_evaluator.report.terminal import counted, narrow_table, print_table
+from skd_evaluator.report.formats import counted
+from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.version import version
 
 SAFE = "safe"
@@ -76,18 +77,19 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(folder / IMPORT, content)
 
     problem = out.save(write)
-    if arguments.json:
-        print_json(content)
-    else:
+
+    def show() -> None:
+        warn("import", damage.lines)
         for one, name in list(zip(found, names, strict=True))[:_SHOWN]:
             print(f"{name}: {one.source.format}, {one.track.name}: {one.quality.text}")
+        warn("import", [f"{path}, {who}, left out: {why}" for path, who, why in left_out[:_SHOWN]])
         if max(len(found), len(left_out)) > _SHOWN:
             print(f"{len(found)} imported, {len(left_out)} left out; {IMPORT} has all of them")
         if not problem:
             behind = f" --scenario {arguments.scenario}" if arguments.scenario else ""
             print(f"next: skd assess --safe {out.path / SAFE} --safe-count {len(found)}{behind}")
-    lost = [f"{path}, {who}, left out: {why}" for path, who, why in left_out[:_SHOWN]]
-    return closing("import", [] if arguments.json else [*damage.lines, *lost], problem)
+
+    return finish(arguments, content, show, failures=[problem])
 
 
 def _list(arguments: argparse.Namespace, damage: Damage) -> int:
@@ -95,14 +97,15 @@ def _list(arguments: argparse.Namespace, damage: Damage) -> int:
     found = {}
     for files in files_in(arguments.paths, damage)[0]:
         found[str(files[0] if len(files) == 1 else files[0].parent)] = listing(files, damage, arguments.topics)
-    if arguments.json:
-        entries = {path: [one.as_dict() for one in rows] for path, rows in found.items()}
-        print_json({"files": entries, "warnings": damage.lines})
-        return 0
-    heads = ("who", "form", "positions", "a second", "gaps", "from", "to", "frame", "not read because")
-    for path, rows in found.items():
-        print_table(narrow_table(path, heads, [_cells(one) for one in rows]))
-    return closing("import", damage.lines)
+
+    def show() -> None:
+        for path, rows in found.items():
+            heads = ("who", "form", "positions", "a second", "gaps", "from", "to", "frame", "not read because")
+            print_table(narrow_table(path, heads, [_cells(one) for one in rows]))
+        warn("import", damage.lines)
+
+    held = {path: [one.as_dict() for one in rows] for path, rows in found.items()}
+    return finish(arguments, {"files": held, "warnings": damage.lines}, show)
 
 
 def _cells(one: Listed) -> list[str]:

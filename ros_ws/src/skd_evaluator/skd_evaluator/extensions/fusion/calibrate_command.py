@@ -18,7 +18,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import closing, print_json
+from skd_evaluator.cli.output import finish
 from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
     POOR,
@@ -93,15 +93,14 @@ def run(arguments: argparse.Namespace) -> int:
         (where / SCENARIO).write_text(to_yaml(best.as_dict()), encoding="utf-8")
         write_json(where / RESULT, content)
 
-    problem = out.save(write)
-    if arguments.json:
-        print_json(content)
-    else:
+    def show() -> None:
         print_table(_table(calibration, calibrated(world, {})))
         print(*content["sentences"], sep="\n")
         seconds = f"{time.perf_counter() - begin:.1f} s"
         print(seconds if problem else f"{seconds}; the calibrated scenario is {out.path / SCENARIO}")
-    return closing("fuse --calibrate", content["warnings"], problem)
+
+    problem = out.save(write)
+    return finish(arguments, content, show, content["warnings"], [problem])
 
 
 def _recorded(recorder: TrialRecorder, world: Scenario, table: Path) -> list[Recorded]:

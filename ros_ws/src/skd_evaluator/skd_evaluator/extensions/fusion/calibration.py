@@ -335,7 +335,7 @@ def estimated(
         names.remove(name)
         values[name] = start[name]
     found = {
-        name: ParameterEstimate(PARAMETERS[name], values[name], None, None, reasons.get(name, "not asked for"))
+        name: ParameterEstimate(PARAMETERS[name], values[name], None, None, reasons.get(name, "not requested"))
         for name in PARAMETERS
         if name in values
     }

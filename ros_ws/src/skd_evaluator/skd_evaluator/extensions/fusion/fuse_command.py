@@ -18,7 +18,7 @@ from skd_sim.inputs.model import YesNo, limits, read_model
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.tracks import RecordingFrame
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.output import closing, print_json
+from skd_evaluator.cli.output import finish
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS, Mean, trials_for_width
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fuse
 from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled
@@ -30,7 +30,8 @@ from skd_evaluator.extensions.fusion.trials import (
     read_trials,
     table_in,
 )
-from skd_evaluator.report.terminal import counted, narrow_table, print_table
+from skd_evaluator.report.formats import counted
+from skd_evaluator.report.terminal import narrow_table, print_table
 
 RESULT = "fusion.json"
 CORRELATIONS = (0.5, 0.7, 0.8, 0.9, 0.95)
@@ -60,18 +61,16 @@ def run(arguments: argparse.Namespace) -> int:
         "warnings": warnings,
     }
     problem = out.save(lambda folder: write_json(folder / RESULT, content))
-    if arguments.json:
-        print_json(content)
-    else:
+
+    def show() -> None:
         print_table(fusion_table(figures))
         for one in figures:
-            print(sentence(one))
-            for line in gap_lines(one):
-                print(f"  {line}")
+            print("\n  ".join([sentence(one), *gap_lines(one)]))
         if not problem:
             print(f"results in {out.path}")
+
     notes = [f"{one.figure.text}: {note}" for one in figures for note in one.notes]
-    return closing("fuse", [*warnings, *notes], problem)
+    return finish(arguments, content, show, [*warnings, *notes], [problem])
 
 
 @dataclass(frozen=True)
@@ -95,31 +94,30 @@ def _plan(arguments: argparse.Namespace) -> int:
     shown = sorted({*CORRELATIONS, *(() if known is None else (known,))})
     alone = trials_for_width(width, deviation)
     rows = [(one, trials_for_width(width, deviation, one, simulated)) for one in shown]
-    if arguments.json:
-        print_json(
-            {
-                "figure": figure.key,
-                "width": width,
-                "deviation": deviation,
-                "correlation": known,
-                "simulated_phi": simulated,
-                "source": source,
-                "physical_alone": alone,
-                "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
-            }
-        )
-        return closing("fuse", warnings)
-    unit = f" {figure.unit}" if figure.unit else ""
-    print(f"{figure.text}: standard deviation {deviation:.3f}{unit} from φ to φ; {source}")
-    cells = [("physical trials alone", str(alone or "never"))]
-    for one, trials in rows:
-        row = f"with the simulator, where ρ = {one:.2f}", str(trials or "never")
-        cells.append((f"[bold]{row[0]}[/]", f"[bold]{row[1]}[/]") if one == known else row)
-    title = f"Physical trials, one on each φ, until the 95 % interval is {width:g}{unit} wide"
-    print_table(narrow_table(title, ("", "trials"), cells))
-    if known is None:
-        print("how well the simulator predicts is known when at least 5 trials are fused: skd fuse")
-    return closing("fuse", warnings)
+    content = {
+        "figure": figure.key,
+        "width": width,
+        "deviation": deviation,
+        "correlation": known,
+        "simulated_phi": simulated,
+        "source": source,
+        "physical_alone": alone,
+        "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
+    }
+
+    def show() -> None:
+        unit = f" {figure.unit}" if figure.unit else ""
+        print(f"{figure.text}: standard deviation {deviation:.3f}{unit} from φ to φ; {source}")
+        cells = [("physical trials alone", str(alone or "never"))]
+        for one, trials in rows:
+            row = f"with the simulator, where ρ = {one:.2f}", str(trials or "never")
+            cells.append((f"[bold]{row[0]}[/]", f"[bold]{row[1]}[/]") if one == known else row)
+        title = f"Physical trials, one on each φ, until the 95 % interval is {width:g}{unit} wide"
+        print_table(narrow_table(title, ("", "trials"), cells))
+        if known is None:
+            print("how well the simulator predicts is known when at least 5 trials are fused: skd fuse")
+
+    return finish(arguments, content, show, warnings)
 
 
 def _planned_with(folder: Path, key: str) -> tuple[float, float | None, int, str, list[str]]:
@@ -172,17 +170,15 @@ def fusion_table(figures: Sequence[FusedFigure]) -> Table:
     for one in figures:
         both = "—" if one.with_simulator is None else mean_text(one, one.with_simulator)
         single = mean_text(one, one.alone)
-        rows.append(
-            (
-                f"{one.figure.text} ({one.figure.unit})" if one.figure.unit else one.figure.text,
-                single if one.predicts else f"[bold]{single}[/]",
-                f"[bold]{both}[/]" if one.predicts else both,
-                "—" if one.line.correlation is None else f"{one.line.correlation:.2f}",
-                "—" if one.with_simulator is None else f"{'yes' if one.predicts else 'no'} ({one.line.p_value:.2g})",
-                str(one.saved),
-                f"{one.gap.mean:+.2f}",
-            )
-        )
+        rows.append([
+            f"{one.figure.text} ({one.figure.unit})" if one.figure.unit else one.figure.text,
+            single if one.predicts else f"[bold]{single}[/]",
+            f"[bold]{both}[/]" if one.predicts else both,
+            "—" if one.line.correlation is None else f"{one.line.correlation:.2f}",
+            "—" if one.with_simulator is None else f"{'yes' if one.predicts else 'no'} ({one.line.p_value:.2g})",
+            str(one.saved),
+            f"{one.gap.mean:+.2f}",
+        ])  # fmt: skip
     heads = ("", "physical\nalone", "with the\nsimulator", "ρ", "predicts\n(p)", "trials\nsaved", "gap")
     return narrow_table("The physical car; what stands is bold", heads, rows)
 

@@ -350,8 +350,8 @@ def overruled(trials: Sequence[PhysicalTrial]) -> list[str]:
         return []
     seen = sum(bool(one.seen_hit) for one in trials)
     return [
-        f"in {len(other)} of {len(trials)} trials the table says that the car did not hit, and in the recording "
-        f"it does, less than {_NOISE:g} m deep, which may be noise: the table counts; by the recordings it hits in "
+        f"in {len(other)} of {len(trials)} trials the car hits in the recording and not in the table, less than "
+        f"{_NOISE:g} m deep, which may be noise: the table counts; by the recordings it hits in "
         f"{seen} (first: {other[0].where})"
     ]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,8 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
 from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.cli.arguments import result_folder, runner_of
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import finish, say
+from skd_evaluator.cli.parser import EXIT_INTERRUPTED
 from skd_evaluator.extensions.ncap.evaluation import (
     NcapRequest,
     evaluated_grid,
@@ -44,8 +44,6 @@ from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.version import version
-
-_INTERRUPTED = 130
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -69,12 +67,9 @@ def run(arguments: argparse.Namespace) -> int:
         if not grids:
             raise
         print_ncap(_found(request, grids))
-        print(
-            f"skd ncap: interrupted; nothing was written. What is above is of {len(grids)} of {len(sources)} "
-            "scenarios; the same command begins anew and gives the same",
-            file=sys.stderr,
-        )
-        return _INTERRUPTED
+        shown = f"{len(grids)} of {len(sources)} scenarios"
+        say("ncap", f"interrupted; nothing was written. What is above is of {shown}; the same command begins anew")
+        return EXIT_INTERRUPTED
     warnings = log_warnings(logs)
     if not (car := request.plan.car).is_own:
         warnings = [*repeatability(car.controller, logs, fresh_process), *warnings]
@@ -88,16 +83,15 @@ def run(arguments: argparse.Namespace) -> int:
         (folder / PAGE).write_text(render(found), encoding="utf-8")
 
     problem = out.save(write)
-    if arguments.json:
-        print_json(content)
-    else:
+
+    def show() -> None:
         print_ncap(found)
         if not problem:
             print(f"results in {out.path}")
+
     failures = [problem, None if any(_is_evaluated(grid) for grid in grids) else "no test could be evaluated"]
-    for why in (*(f"warning: {line}" for line in found.warnings), *filter(None, failures)):
-        print(f"skd ncap: {why}", file=sys.stderr)
-    return 1 if any(failures) or not_credible(found.warnings) else 0
+    code = finish(arguments, content, show, found.warnings, failures)
+    return 1 if not_credible(found.warnings) else code
 
 
 def names_in(text: str) -> list[str]:

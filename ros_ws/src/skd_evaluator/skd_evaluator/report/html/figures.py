@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.world.episode import Mode
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
@@ -16,10 +14,8 @@ from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import (
     NOTHING,
     bounded,
-    contact_warnings,
     counted,
     interval,
-    margin_warnings,
     number,
     percent,
     surrogate_groups,
@@ -28,6 +24,7 @@ from skd_evaluator.report.formats import (
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import credibility, headline
+from skd_evaluator.report.warnings import figure_warnings
 
 _FEW = 3
 _FILES = 10  # of a car, whose digests are shown
@@ -66,38 +63,15 @@ def sentences_of(subject: Subject) -> list[str]:
 def warnings_of(subject: Subject) -> list[str]:
     """Return what a reader should know before believing the figures, a line each."""
     figures = subject.figures
-    found = []
-    episodes = subject.episodes
-    kamikaze = episodes.mode == Mode.KAMIKAZE
-    found += margin_warnings(figures, int((kamikaze & episodes.collided).sum()), int(episodes.hit.sum()))
+    found = figure_warnings(figures)
     for kind, reasons in figures["aborted_reasons"].items():
         first = f", the first one so: {reasons['first']}" if reasons.get("first") else ""
         found.append(f"{counted(reasons['count'], 'episode')} aborted ({kind}){first}; they count in no figure")
-    found += [line for line in aborted_lines(figures) if line not in figures["warnings"]]  # older results do not say
-    for row in figures["per_safe_trajectory"]:
-        if not row["safe"]:
-            found.append(
-                f"safe trajectory {row['name']} was hit in {percent(row['contact_rate'], 0)} of "
-                f"{counted(row['collision_runs'], 'run')} along it: with this car it is not safe, and a kamikaze need "
-                "not leave it"
-            )
-    clipped = figures["commands_clipped"]
-    if clipped["commands"]:
-        found.append(
-            f"{counted(clipped['commands'], 'command')} in {counted(clipped['episodes'], 'episode')} asked more than "
-            "this car can do; they were clipped"
-        )
-    found += contact_warnings(figures)
-    for one in figures["measures"].values():
-        if one["error"]:
-            found.append(f"measure {one['label']} failed: {one['error']}")
+    found += [f"measure {one['label']} failed: {one['error']}" for one in figures["measures"].values() if one["error"]]
     if figures["discarded_by_distance"]:
         found.append(f"{counted(figures['discarded_by_distance'], 'pair')} discarded, above the maximum distance")
-    found += [f"left out: {line}" for line in figures["left_out"]]
-    found += [str(line) for line in figures["warnings"]]
-    if figures["skd"] is None:
-        found.append("no pair is left, so SKD is not defined")
-    return found
+    found += [*(f"left out: {line}" for line in figures["left_out"]), *aborted_lines(figures), *figures["warnings"]]
+    return list(dict.fromkeys(map(str, found)))
 
 
 def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
@@ -253,46 +227,16 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
     return rows
 
 
-@dataclass(frozen=True)
-class MatrixCell:
-    """An assessment in the matrix, as it is shown.
-
-    Attributes:
-        margin: the margin, m.
-        interval: its interval by φ.
-        hit: share of runs along φ that are hits.
-        unsure: whether the search for the margin had not converged.
-    """
-
-    margin: str
-    interval: str
-    hit: str
-    unsure: bool
-
-
-@dataclass(frozen=True)
-class CarMatrix:
-    """Assessments by car and scenario.
-
-    Attributes:
-        scenarios: names of the columns.
-        rows: name of each car, and for each scenario its assessments, which may be several or none.
-    """
-
-    scenarios: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[tuple[MatrixCell, ...], ...]], ...]
-
-
-def matrix_of(subjects: Sequence[Subject]) -> CarMatrix | None:
-    """Return the matrix; None where there are not both several cars and several scenarios."""
+def matrix_of(subjects: Sequence[Subject]) -> dict[str, Any] | None:
+    """Return the names of scenarios, and for each car and scenario its assessments; None unless both are several."""
     cars, scenarios = list(dict.fromkeys(str(one.figures["car"]) for one in subjects)), scenarios_of(subjects)
     if len(cars) < 2 or len(scenarios) < 2:
         return None
-    cells: dict[tuple[str, str], list[MatrixCell]] = {}
+    cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for one in subjects:
         cells.setdefault((str(one.figures["car"]), one.scenario.name), []).append(_cell(one))
-    rows = tuple((car, tuple(tuple(cells.get((car, place), ())) for place in scenarios)) for car in cars)
-    return CarMatrix(tuple(scenarios), rows)
+    rows = [(car, [cells.get((car, name), []) for name in scenarios]) for car in cars]
+    return {"scenarios": scenarios, "rows": rows}
 
 
 def by_scenario(subjects: Sequence[Subject]) -> list[int]:
@@ -301,11 +245,12 @@ def by_scenario(subjects: Sequence[Subject]) -> list[int]:
     return sorted(range(len(subjects)), key=lambda place: (order.index(subjects[place].scenario.name), place))
 
 
-def _cell(one: Subject) -> MatrixCell:
+def _cell(one: Subject) -> dict[str, Any]:
+    """Return margin, its interval, nominal collision rate, and whether the search had not converged, as shown."""
     figures = one.figures
-    return MatrixCell(
-        bounded(figures, number(figures["margin"])),
-        interval(figures["margin_ci95"]),
-        percent(figures["nominal_collision_rate"]),
-        figures["margin_converged"] is False,
-    )
+    return {
+        "margin": bounded(figures, number(figures["margin"])),
+        "interval": interval(figures["margin_ci95"]),
+        "hit": percent(figures["nominal_collision_rate"]),
+        "unsure": figures["margin_converged"] is False,
+    }

@@ -19,7 +19,9 @@ from typing import Any
 from skd_sim import ros_environment
 from skd_sim.start import PACKAGES, environment, installing
 
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.arguments import add_flag
+from skd_evaluator.cli.output import print_json, say
+from skd_evaluator.cli.parser import Parser
 from skd_evaluator.version import version
 
 FINE, ABSENT, BROKEN = "fine", "absent", "broken"
@@ -53,6 +55,17 @@ class Finding:
     remedy: str = ""
 
 
+def add(parser: Parser) -> None:
+    """Say what is installed, what is missing, and for what.
+
+    Say what is installed, what is missing and what to do about it. Send a message between two ROS 2 nodes. The exit
+    code is 1 where something does not work.
+    """
+    parser.set_defaults(group="look")
+    add_flag(parser, "--no-round-trip", "start no nodes: look at files alone")
+    add_flag(parser, "--json", "print JSON instead of lines")
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code: 1 where something that SKD needs is missing or does not work."""
     found = []
@@ -66,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json({"findings": [asdict(one) for one in found], "fine": not broken})
     elif broken:
-        print(f"skd doctor: {', '.join(broken)}: see above", file=sys.stderr)
+        say("doctor", f"{', '.join(broken)}: see above")
     else:
         print("All that SKD needs is there. What begins with -- is for what stands behind it alone.")
     return 1 if broken else 0

@@ -4,36 +4,30 @@ from __future__ import annotations
 
 import argparse
 import csv
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import objectives_named
 
-from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.context import Context
-from skd_evaluator.assessment.figure_table import columns
-from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.from_options import plan_of, scenario_for
 from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS
-from skd_evaluator.assessment.stages.pipeline import run_stages, start_workers
-from skd_evaluator.assessment.stages.risk import risk_request
-from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.cli.arguments import result_folder, runner_of
-from skd_evaluator.cli.assess import EXIT_INTERRUPTED
-from skd_evaluator.cli.output import print_json
-from skd_evaluator.provenance import provenance
-from skd_evaluator.report.presentation import fill, warnings_of, why_failed
-from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.tables import sweep_table
-from skd_evaluator.report.terminal import print_table
+from skd_evaluator.cli.arguments import (
+    CAR_GROUP,
+    add_campaign_arguments,
+    add_options,
+    add_value,
+    real_number,
+    result_folder,
+    runner_of,
+)
+from skd_evaluator.cli.output import finish, say
+from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+
+if TYPE_CHECKING:
+    from skd_evaluator.assessment.assessment import Assessment
 
 _RECORDED = "recorded"
-_COLUMNS = ("kind", "multiplier", *columns("sweep"))
 _SPEARMAN = {
     "margin": "margin",
     "deviation": "deviation", "skd": "SKD", "skd_prefix": "prefix distance", "contact_rate": "contact rate",
@@ -41,8 +35,32 @@ _SPEARMAN = {
 
 
 def _row(kind: str, assessment: Assessment) -> dict[str, Any]:
+    from skd_evaluator.assessment.figure_table import columns
+
     result = assessment.as_dict()
-    return {"kind": kind, **{name: result[name] for name in _COLUMNS[1:]}}
+    return {"kind": kind, **{name: result[name] for name in ("multiplier", *columns("sweep"))}}
+
+
+def add(parser: Parser) -> None:
+    """Repeat the paper's experiment: rate the basic car with nine multipliers C.
+
+    Repeat the paper's experiment: margin, SKD and contact rate of the basic car with each multiplier C. The safe
+    trajectories are synthetic ones, and those of --safe, if given.
+    """
+    parser.set_defaults(group="research")
+    text = "walkers, or recorded ones: CITR's vci_lat_uni, a csv file with columns t, x, y, or a folder"
+    add_value(parser, "--safe", text, metavar="SOURCE")
+    text = "rate the basic car with these multipliers C instead of the paper's nine (0.5 to 1.15)"
+    add_value(parser, "--multipliers", text, type=real_number(0.0, 100.0), nargs="+", metavar="C")
+    add_options(parser, "sweep", CAR_GROUP)
+    # The paper's numbers; for a rating more φ say more than more trials on each.
+    counts = {"safe_count": (5, "safe trajectories (φ) there are of each kind")}
+    counts["kamikaze_count"] = 100, "kamikazes are planned for each safe trajectory"
+    paper = {
+        name: {"default": count, "help": f"how many {what} (default: {count})"}
+        for name, (count, what) in counts.items()
+    }
+    add_campaign_arguments(parser, "sweep", **paper)
 
 
 def _spearman(rows: list[dict[str, Any]], value: str) -> float | None:
@@ -66,13 +84,30 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
         for row in rows
     ]
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, _COLUMNS)
+        writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(flat)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    from skd_sim.controllers.basic import PAPER_MULTIPLIERS
+    from skd_sim.options.adversary import objectives_named
+
+    from skd_evaluator.assessment.assessment import Assessment
+    from skd_evaluator.assessment.context import Context
+    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.assessment.from_options import plan_of, scenario_for
+    from skd_evaluator.assessment.stages.pipeline import run_stages, start_workers
+    from skd_evaluator.assessment.stages.risk import risk_request
+    from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
+    from skd_evaluator.provenance import provenance
+    from skd_evaluator.report.presentation import fill
+    from skd_evaluator.report.progress import progress_bar
+    from skd_evaluator.report.tables import sweep_table
+    from skd_evaluator.report.terminal import print_table
+    from skd_evaluator.report.warnings import warnings_of, why_failed
+
     begin = time.perf_counter()
     multipliers = arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
@@ -115,11 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise
         print_table(sweep_table([_row(kind, assessment) for kind, assessment in assessments]))
         cars = f"{len(assessments)} of {len(plans) * len(multipliers)} cars"
-        print(
-            f"skd sweep: interrupted; nothing was written. What is above is of {cars}; the same command begins anew "
-            "and gives the same",
-            file=sys.stderr,
-        )
+        say("sweep", f"interrupted; nothing was written. What is above is of {cars}; the same command begins anew")
         return EXIT_INTERRUPTED
     rows = [_row(kind, assessment) for kind, assessment in assessments]
     spearman = {
@@ -146,28 +177,21 @@ def run(arguments: argparse.Namespace) -> int:
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)
 
-    problem = out.save(write)
-    if arguments.json:
-        print_json(summary)
-    else:
+    def show() -> None:
         print_table(sweep_table(rows))
         for kind, rho in spearman.items():
             known = [f"{name} {rho[key]:.3f}" for key, name in _SPEARMAN.items() if rho[key] is not None]
             if known:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
         if _RECORDED not in kinds:
-            print("Recorded safe trajectories were not asked for: add --safe PATH (docs/validation.md).")
+            print("Recorded safe trajectories were not requested: add --safe PATH (docs/validation.md).")
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
-    for kind, assessment in assessments:
-        for line in warnings_of(assessment, planned=False):
-            print(f"skd sweep: warning: {kind}, C = {assessment.plan.multiplier:g}: {line}", file=sys.stderr)
-    failures = [problem] if problem else []
-    for kind, assessment in assessments:
-        failures += [
-            f"{kind}, C = {assessment.plan.multiplier:g}: {why}"
-            for why in why_failed(assessment, arguments.max_aborted)
-        ]
-    for why in failures:
-        print(f"skd sweep: {why}", file=sys.stderr)
-    return 1 if failures else 0
+
+    problem = out.save(write)
+    warnings, failures = [], [problem]
+    for kind, one in assessments:
+        name = f"{kind}, C = {one.plan.multiplier:g}"
+        warnings += [f"{name}: {line}" for line in warnings_of(one, planned=False)]
+        failures += [f"{name}: {why}" for why in why_failed(one, arguments.max_aborted)]
+    return finish(arguments, summary, show, warnings, failures)

@@ -9,37 +9,65 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
-from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.options import REAL_TIME, options_of, values_of
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
-from skd_evaluator.assessment.files.result_folder import ResultFolder
-from skd_evaluator.assessment.files.results import episode_summary
-from skd_evaluator.assessment.from_options import check_car, default_folder, plan_of, scenario_for
 from skd_evaluator.assessment.options import GENERATED, SYNTHETIC, CampaignOptions, GraphOptions
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.cli.output import print_json
-from skd_evaluator.driving.drive import Controls, Drive, Hand, LeftError, Wish, driving_in_process
-from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing, terminal
+from skd_evaluator.cli.arguments import (
+    add_car_arguments,
+    add_count,
+    add_flag,
+    add_graph_arguments,
+    add_loudness,
+    add_options,
+    add_parameters,
+)
+from skd_evaluator.cli.output import finish, say
+from skd_evaluator.cli.parser import Parser
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.report.presentation import episode_line
-from skd_evaluator.ros.processes import GraphSetting
-from skd_evaluator.ros.session import graph_session, prepare_ros
+
+if TYPE_CHECKING:
+    from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+
+    from skd_evaluator.assessment.plan import Plan
+    from skd_evaluator.driving.drive import Controls, Drive
+    from skd_evaluator.driving.screen import Screen
 
 _NAP = 0.05  # s between two looks at the keys
 _LENIENT = 3600.0  # s that the simulator may be late: nothing is rated here
-_NOBODY_PLANS = {"objective": "paper", "car_model": "", "adversary_model": str(AdversaryModel.GENERIC)}
+
+
+def add(parser: Parser) -> None:
+    """Watch a car drive, and step in front of it with the keyboard.
+
+    Watch a car drive in real time, in the terminal. The adversary goes where your keys send it, or follows a safe
+    trajectory φ. With --graph, RViz and Foxglove can show the drive, too. Nothing is rated. Without a terminal it
+    prints one line a second and ends with the first episode.
+    """
+    parser.set_defaults(group="rate")
+    followed = "follow safe trajectories φ instead of the keys; as skd assess takes them (default: it goes by keys)"
+    add_car_arguments(parser, "drive", safe={"default": None, "help": followed})
+    add_count(parser, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, counted from 0 (default: 0)")
+    ticks = "end each episode after at most this many ticks, mostly of 0.3 s (default: as the scenario says)"
+    add_count(parser, "--ticks", 1, 100_000, ticks)
+    add_options(parser, "drive", "campaign")
+    add_graph_arguments(parser, "drive", optional=True, record=False)
+    add_parameters(parser)
+    group = parser.add_argument_group("output")
+    add_flag(group, "--json", "print how each episode ended as JSON, and no picture")
+    add_loudness(group)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code: 1 where an episode was aborted."""
+    from skd_evaluator.assessment.files.results import episode_summary
+    from skd_evaluator.driving.drive import Controls
+    from skd_evaluator.driving.screen import Lines, can_draw
+    from skd_evaluator.report.presentation import episode_line
+    from skd_evaluator.ros.session import prepare_ros
+
     watched = sys.stdin.isatty() and can_draw() and not (arguments.json or arguments.quiet)
     if not watched and arguments.safe is None and arguments.ticks is None:
         raise UsageError(
@@ -50,42 +78,49 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.graph:
         prepare_ros(options)
     episodes = _Episodes(plan, arguments)
-    controls, said = Controls(), _Messages()
+    controls, kept = Controls(), list[str]()
     try:
         with ExitStack() as stack:
             if watched:
-                title = one_line(options.controller_command or plan.car.label)
-                screen = stack.enter_context(_on_terminal(title, controls, by_keys=episodes.by_keys))
-                said.keep(screen)
-                drive = stack.enter_context(_driving(plan, options, episodes, controls, screen.show, said, arguments))
-                logs = list(_watched(drive, episodes, controls, screen))
+                screen = stack.enter_context(_on_terminal(plan, options, controls, by_keys=episodes.by_keys))
+
+                def hold(line: str) -> None:  # nothing is printed into a picture
+                    screen.waiting = one_line(line)
+                    kept.append(line)
+
+                run_one = stack.enter_context(_driving(plan, options, episodes, controls, screen.show, hold))
+                logs = list(_watched(run_one, episodes, controls, screen))
             else:
-                show = Lines(_writer(arguments)).show
-                drive = stack.enter_context(_driving(plan, options, episodes, controls, show, said, arguments))
-                logs = [_driven(drive, episodes.at(0))]
+                output = sys.stderr if arguments.json else sys.stdout
+                lines = Lines(lambda line: None if arguments.quiet else print(line, file=output, flush=True))
+                tell = lambda line: say("drive", line)  # noqa: E731
+                run_one = stack.enter_context(_driving(plan, options, episodes, controls, lines.show, tell))
+                logs = [_driven(run_one, episodes.at(0))]
     finally:
-        said.say_kept()
-    if arguments.json:
-        print_json({"episodes": [episode_summary(log) for log in logs]})
-    else:
-        for log in logs:
-            print(episode_line(log))
-    return 0
+        say("drive", *kept)
+    content = {"episodes": [episode_summary(log) for log in logs]}
+    return finish(arguments, content, lambda: print(*map(episode_line, logs), sep="\n", end="\n" if logs else ""))
 
 
 class _Episodes:
-    """The episodes of a drive by their numbers."""
+    """The episodes of a drive by their numbers.
+
+    Attributes:
+        graph: whether they run through the node graph.
+        by_keys: whether keys move the adversary.
+    """
 
     def __init__(self, plan: Plan, arguments: argparse.Namespace) -> None:
-        self.by_keys = arguments.safe is None
+        from skd_evaluator.assessment.run.workers import InProcessRunner
+        from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
+
+        self.graph, self.by_keys, self._first = arguments.graph, arguments.safe is None, arguments.safe_number or 0
         if self.by_keys and arguments.safe_number is not None:
-            raise UsageError(f"--safe-number {arguments.safe_number}: there is no φ to follow; add --safe")
-        self._plan, self._first = plan, arguments.safe_number or 0
+            raise UsageError(f"--safe-number {self._first}: there is no φ to follow; add --safe")
         # φ is found within the scenario's own horizon, whatever is shown of it.
         self._safe = [] if self.by_keys else safe_trajectories(plan, InProcessRunner(1))
-        if arguments.ticks is not None:
-            horizon = arguments.ticks * plan.scenario.time_step
-            self._plan = replace(plan, scenario=replace(plan.scenario, horizon=horizon))
+        horizon = plan.scenario.horizon if arguments.ticks is None else arguments.ticks * plan.scenario.time_step
+        self._plan = replace(plan, scenario=replace(plan.scenario, horizon=horizon))
         if not self.by_keys and self._first >= len(self._safe):
             raise UsageError(
                 f"--safe-number {self._first}: there are {len(self._safe)} safe trajectories, numbered from 0"
@@ -93,35 +128,12 @@ class _Episodes:
 
     def at(self, number: int) -> EpisodeSpec:
         """Return the episode of a number: one φ after another, and new draws each time."""
+        from skd_sim.world.episode import Mode
+
         if self.by_keys:
             return self._plan.episode(Mode.SAFE, 0, number, None)
         place = (self._first + number) % len(self._safe)
         return self._plan.episode(Mode.REPLAY, place, number // len(self._safe), self._safe[place])
-
-
-class _Messages:
-    """Lines for the user, of which none is printed into a picture."""
-
-    def __init__(self) -> None:
-        self._screen: Screen | None = None
-        self._kept: list[str] = []
-
-    def keep(self, screen: Screen) -> None:
-        """Keep lines from now on; the screen has the last one."""
-        self._screen = screen
-
-    def __call__(self, line: str) -> None:
-        """Say a line."""
-        if self._screen is None:
-            print(f"skd drive: {line}", file=sys.stderr, flush=True)
-        else:
-            self._screen.waiting = one_line(line)
-            self._kept.append(line)
-
-    def say_kept(self) -> None:
-        """Say all that was kept."""
-        for line in self._kept:
-            print(f"skd drive: {line}", file=sys.stderr)
 
 
 def _plan_and_graph(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
@@ -130,13 +142,20 @@ def _plan_and_graph(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     Raises:
         UsageError: some options do not go together.
     """
+    from skd_adversary.safe_trajectories.sources import count_safe_trajectories
+    from skd_sim.options.adversary import AdversaryModel
+    from skd_sim.options.options import REAL_TIME, options_of, values_of
+
+    from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
+
     safe = arguments.safe or SYNTHETIC
     values: dict[str, Any] = {one.name: one.unsaid for one in options_of(GraphOptions)}
     scenario = scenario_for(arguments.scenario, safe)
     count = CampaignOptions.safe_count
     if safe not in GENERATED:
         count = max(1, min(count, count_safe_trajectories(safe, scenario)))
-    values |= {**vars(arguments), **_NOBODY_PLANS, "safe": safe, "safe_count": count}
+    unplanned = {"objective": "paper", "car_model": "", "adversary_model": str(AdversaryModel.GENERIC)}
+    values |= {**vars(arguments), **unplanned, "safe": safe, "safe_count": count}
     plan = plan_of(values, scenario)
     both_ways = {} if arguments.graph else {"rate_factor": GraphOptions.rate_factor}
     scenario = check_car({**values, **both_ways}, plan.scenario, graph=arguments.graph)
@@ -145,19 +164,14 @@ def _plan_and_graph(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
 
 
 @contextmanager
-def _on_terminal(title: str, controls: Controls, *, by_keys: bool) -> Iterator[Screen]:
+def _on_terminal(plan: Plan, options: GraphOptions, controls: Controls, *, by_keys: bool) -> Iterator[Screen]:
     """Draw on the terminal and read its keys, as long as this lasts."""
     from skd_evaluator.driving.drive import reading_keys
+    from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Screen, drawing
 
-    console = terminal()
-    screen = Screen(title, KEYS if by_keys else KEYS_OF_ONLOOKER, console)
-    with reading_keys(controls.press), drawing(screen, console):
+    screen = Screen(one_line(options.controller_command or plan.car.label), KEYS if by_keys else KEYS_OF_ONLOOKER)
+    with reading_keys(controls.press), drawing(screen):
         yield screen
-
-
-def _writer(arguments: argparse.Namespace) -> Callable[[str], None]:
-    output = sys.stderr if arguments.json else sys.stdout
-    return (lambda _line: None) if arguments.quiet else lambda line: print(line, file=output, flush=True)
 
 
 @contextmanager
@@ -167,16 +181,20 @@ def _driving(
     episodes: _Episodes,
     controls: Controls,
     show: Any,
-    said: _Messages,
-    arguments: argparse.Namespace,
+    said: Callable[[str], None],
 ) -> Iterator[Drive]:
     """Yield what drives an episode, in this process or through the node graph."""
+    from skd_evaluator.assessment.files.result_folder import ResultFolder
+    from skd_evaluator.assessment.from_options import default_folder
+    from skd_evaluator.driving.drive import Hand, driving_in_process
+    from skd_evaluator.ros.processes import GraphSetting
+    from skd_evaluator.ros.session import graph_session
 
     def hand_for(episode: EpisodeSpec) -> Hand | None:
         controls.hand = Hand(episode.scenario) if episodes.by_keys else None
         return controls.hand
 
-    if not arguments.graph:
+    if not episodes.graph:
         with driving_in_process(plan.car, options.rate_factor, hand_for, show, controls.look) as drive:
             yield drive
         return
@@ -195,6 +213,8 @@ def _driven(drive: Drive, episode: EpisodeSpec) -> EpisodeLog:
     Raises:
         AssessmentError: it was aborted.
     """
+    from skd_sim.world.episode import Outcome
+
     log = drive(episode)
     if log.outcome == Outcome.ABORTED:
         raise AssessmentError(f"aborted: {log.reason}")
@@ -206,6 +226,9 @@ def _watched(drive: Drive, episodes: _Episodes, controls: Controls, screen: Scre
 
     Where keys move the adversary, the first one begins.
     """
+    from skd_evaluator.driving.drive import LeftError, Wish
+    from skd_evaluator.report.presentation import episode_line
+
     if episodes.by_keys:
         screen.waiting = "press a key to begin"
         while not controls.pressed:

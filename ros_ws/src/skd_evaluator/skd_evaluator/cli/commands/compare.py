@@ -1,0 +1,150 @@
+"""`skd compare`: several assessments side by side, each compared with the first."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.cli.arguments import (
+    add_count,
+    add_flag,
+    add_output_arguments,
+    add_paths,
+    add_value,
+    positive_number,
+    real_number,
+    result_folder,
+)
+from skd_evaluator.cli.output import finish, is_read
+from skd_evaluator.cli.parser import Parser, rare
+
+if TYPE_CHECKING:
+    from skd_evaluator.assessment.files.results import StoredResult
+
+
+def add(parser: Parser) -> None:
+    """Put results side by side: which car is safer, and how many trajectories it takes to tell.
+
+    Put results side by side, and say whether each car is safer or less safe than the first. That goes by margin and
+    risk: one of them has to differ, and none the other way. With --width or --difference it says how many safe
+    trajectories φ a precision takes, by how much earlier results vary.
+    """
+    parser.set_defaults(group="compare and gate")
+    text = "folder of an assessment, a campaign, or one above some; the others are compared with the first"
+    add_paths(parser, "paths", "DIR", text, nargs="*")
+    add_flag(parser, "--no-pictures", rare("draw no pictures, which saves about half a second"))
+    size = parser.add_argument_group("how many trajectories")
+    goal = size.add_mutually_exclusive_group()
+    text = "until the 95 %% interval is this wide, in the figure's unit: m, or a share of runs"
+    add_value(goal, "--width", text, type=positive_number, metavar="W")
+    add_value(
+        goal, "--difference", "until this difference between two cars is found, m", type=positive_number, metavar="D"
+    )
+    text = "probability with which the difference is found"
+    add_value(size, "--power", text, type=real_number(0.06, 0.9999), default=0.8, metavar="P")
+    add_flag(size, "--unpaired", "the two cars are rated on different safe trajectories")
+    add_value(
+        size, "--figure", "which figure", choices=("margin", "deviation", "skd", "contact_rate"), default="margin"
+    )
+    add_count(size, "--kamikaze-count", 2, 1_000_000, "only with this many kamikazes for each φ")
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    if arguments.width is not None or arguments.difference is not None:
+        from skd_evaluator.cli import plan
+
+        return plan.run(arguments)
+    from skd_evaluator.assessment.files.assessment_json import understood
+    from skd_evaluator.assessment.files.results import read_result, result_folders
+
+    folders = result_folders(arguments.paths)
+    if len(folders) < 2:
+        raise UsageError("give folders with at least two assessments")
+    results = [read_result(path) for path in folders]
+    with understood(Path("one of the results")):
+        return _run(arguments, results)
+
+
+def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
+    from skd_evaluator.assessment.compare.comparison import Comparison, compare, ranking_figure
+    from skd_evaluator.assessment.figure_table import columns
+    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.margin.common_trajectories import on_common_trajectories
+    from skd_evaluator.metrics.aborted import not_credible
+    from skd_evaluator.report.progress import progress_bar
+    from skd_evaluator.report.tables import comparison_table, equal_remarks, verdict_table
+    from skd_evaluator.report.terminal import print_table
+
+    names = labels(results)
+    out = result_folder(arguments)
+    rows = [
+        {
+            "car": name,
+            "folder": str(result.folder),
+            **{key: result.figures.get(key) for key in columns("compare")},
+            "warnings": not_credible(result.figures.get("warnings") or ()),
+        }
+        for name, result in zip(names, results, strict=True)
+    ]
+    # All verdicts together are to be right with 95 %: Bonferroni's share for each.
+    confidence = 1.0 - 0.05 / (len(results) - 1)
+    compared: list[Comparison] = []
+    tried: list[str] = []
+    with progress_bar() as progress:
+        for other in results[1:]:
+            first, second, said = on_common_trajectories(results[0], other, progress)
+            compared.append(compare(first, second, confidence))
+            tried += said
+    entries = [
+        {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
+    ]
+    remarks = [line for one in results for line in one.remarks]
+    warnings = [*remarks, *tried, *(line for one in compared for line in one.lines()), *equal_remarks(rows, "car")]
+    ranked_by = ranking_figure(results)
+    content = {
+        "rows": rows,
+        "ranked_by": ranked_by,
+        "confidence": confidence,
+        "comparisons": entries,
+        "warnings": list(dict.fromkeys(warnings)),
+    }
+
+    def show() -> None:
+        print_table(comparison_table(rows, ranked_by))
+        print_table(verdict_table(entries, names[0], confidence))
+
+    def write(folder: Path) -> None:
+        write_json(folder / "comparison.json", content)
+        if not arguments.pictures:
+            return
+        from skd_evaluator.report.charts import save_comparison  # slow to import, and needed only now
+
+        save_comparison(folder, dict(zip(names, results, strict=True)), ranked_by)
+
+    read = arguments.json or is_read(show)  # before the pictures, which take longer than the figures
+    problem = out.save(write)
+
+    def place() -> None:
+        if not problem:
+            print(f"results in {out.path}")
+
+    return max(finish(arguments, content, place, warnings, [problem]), not read)
+
+
+def labels(results: Sequence[StoredResult]) -> list[str]:
+    """Return a name for each result: that of its car, with its folder where several have the same."""
+    from skd_evaluator.files import tails
+
+    cars = [str(result.figures["car"]) for result in results]
+    often = Counter(cars)
+    return [
+        car if often[car] == 1 else f"{car} ({tail})"
+        for car, tail in zip(cars, tails([result.folder for result in results]), strict=True)
+    ]

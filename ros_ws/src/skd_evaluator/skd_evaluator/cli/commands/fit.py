@@ -1,0 +1,161 @@
+"""`skd fit`: the predictive model of a car from recorded episodes, or with --people how people walk, from tracks."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.cli.arguments import (
+    add_damage_argument,
+    add_flag,
+    add_output_arguments,
+    add_paths,
+    add_value,
+    result_folder,
+)
+from skd_evaluator.cli.output import finish
+from skd_evaluator.cli.parser import Parser
+
+if TYPE_CHECKING:
+    from skd_evaluator.risk.behaviour.tracks import Tracked
+
+BEHAVIOUR = "behaviour.png"
+
+
+def add(parser: Parser) -> None:
+    """Learn a model of a car from recorded episodes, or of how people walk.
+
+    Estimate how a car brakes from recorded episodes, and write car_model.yaml for skd assess --car-model. With --people
+    fit tracks of people, check the model on people held out, and write behaviour.yaml for skd assess --behaviour.
+    """
+    parser.set_defaults(group="research")
+    text = "a bag folder, an .mcap file, episodes.npz, or a folder of them. With --people: CITR, or csv with t, x, y"
+    add_paths(parser, "paths", "PATH", text)
+    people = parser.add_argument_group("people")
+    add_flag(people, "--people", "fit a behaviour model to tracks of people, not a model of a car")
+    add_value(people, "--name", "what it is called", default="fitted", metavar="NAME")
+    add_value(people, "--kind", "the kind of road user", default="pedestrian", metavar="KIND")
+    add_damage_argument(parser)
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    return _fit_people(arguments) if arguments.people else _fit_car(arguments)
+
+
+def _fit_car(arguments: argparse.Namespace) -> int:
+    from skd_adversary.car_models.car_model_file import FILE_NAME, car_model_data, write_car_model
+    from skd_adversary.car_models.observations import observe
+    from skd_adversary.car_models.prediction import learn_car
+
+    from skd_evaluator.bags.car_logs import read_recordings
+    from skd_evaluator.bags.checks import Damage
+    from skd_evaluator.cli.results import say_damage
+    from skd_evaluator.report import fit
+    from skd_evaluator.report.terminal import print_table
+    from skd_evaluator.version import version
+
+    begin = time.perf_counter()
+    out = result_folder(arguments)
+    damage = Damage(skip=arguments.skip_damaged)
+    recordings = read_recordings(arguments.paths, damage)
+    say_damage("fit", damage)
+    car = learn_car(observe(recordings), version=version())
+    problem = out.save(lambda folder: write_car_model(folder / FILE_NAME, car))
+    data = {**car_model_data(car), "forest": car.forest is not None}
+
+    def show() -> None:
+        print(f"{data['logs']} logs, {data['ticks']} ticks, {data['braking_ticks']} of them braking")
+        print_table(fit.car_table(car, data))
+        for line in fit.unidentified(data):
+            print(line)
+        if data["families"]:
+            print_table(fit.family_table(data))
+        if data["predictions"]:
+            print_table(fit.prediction_table(data))
+            by = "a forest of recorded ticks" if data["forest"] else "the law above"
+            print(f"The adversary predicts the car by {by}")
+        if held_out := data["calibration"]:
+            p_value = held_out["p_value"]
+            chance = f"p = {p_value:.3f}" if p_value >= fit.CONTRADICTED else f"p < {fit.CONTRADICTED:g}"
+            print(
+                f"Held-out ticks against their prediction: {held_out['ticks']} ticks,\n"
+                f"Kolmogorov-Smirnov distance {held_out['statistic']:.3f}, {chance}"
+            )
+        seconds = f"{time.perf_counter() - begin:.1f} s"
+        print(seconds if problem else f"{seconds}; model in {out.path / FILE_NAME}")
+
+    return finish(arguments, data, show, fit.car_model_warnings(data), [problem])
+
+
+def _fit_people(arguments: argparse.Namespace) -> int:
+    from skd_sim.scenario.road_user import ROAD_USERS
+
+    from skd_evaluator.bags.checks import Damage
+    from skd_evaluator.cli.results import say_damage
+    from skd_evaluator.metrics.behaviour.model import FILE_NAME, write_behaviour
+    from skd_evaluator.report.fit import behaviour_table, save_behaviour, validation_table
+    from skd_evaluator.report.progress import progress_bar
+    from skd_evaluator.report.terminal import print_table
+    from skd_evaluator.risk.behaviour.fit import HORIZONS, QUANTILES, behaviour_of, fit_behaviour
+    from skd_evaluator.risk.behaviour.tracks import TIME_STEP, WITHIN, read_tracks, validate
+
+    begin = time.perf_counter()
+    if arguments.kind not in ROAD_USERS:
+        raise UsageError(f"--kind must be one of {', '.join(ROAD_USERS.names())}; got {arguments.kind!r:.40}")
+    out = result_folder(arguments)
+    damage = Damage(skip=arguments.skip_damaged)
+    tracks = read_tracks(arguments.paths, damage, arguments.kind)
+    say_damage("fit", damage)
+    _check_enough(tracks)
+    with progress_bar(quiet=arguments.quiet) as progress:
+        validation = validate(tracks, lambda done, of: progress("fits without a part", done, of))
+        fit = fit_behaviour([one.positions for one in tracks], TIME_STEP)
+    recordings = len({one.recording for one in tracks})
+    source = f"fitted to {fit.tracks} tracks of {recordings} recordings"
+    behaviour = behaviour_of(fit, arguments.name, arguments.kind, source, source)
+
+    def write(folder: Path) -> None:
+        write_behaviour(folder / FILE_NAME, behaviour)
+        content = json.dumps(validation.as_dict(), indent=2)
+        (folder / "validation.json").write_text(f"{content}\n", encoding="utf-8")
+        walked = [one.positions for one in tracks]
+        tables = (validation.recorded, validation.predicted)
+        save_behaviour(folder / BEHAVIOUR, walked, validation.example, HORIZONS, QUANTILES, tables)
+
+    def show() -> None:
+        print(f"{fit.tracks} tracks of {recordings} recordings, {fit.steps} ticks")
+        print_table(behaviour_table(behaviour))
+        print_table(validation_table(validation.as_dict(), WITHIN))
+        seconds = f"{time.perf_counter() - begin:.1f} s"
+        print(seconds if problem else f"{seconds}; behaviour model in {out.path / FILE_NAME}, picture in {BEHAVIOUR}")
+
+    problem = out.save(write)
+    worst = (
+        f"a quantile of people held out is {100.0 * validation.worst:.0f} % off, more than {100.0 * WITHIN:.0f} %: "
+        "they walk otherwise than the others, or than the model can"
+    )
+    warnings = [worst] if validation.worst > WITHIN else []
+    content = {**behaviour.as_dict(), "validation": validation.as_dict()}
+    return finish(arguments, content, show, warnings, [problem])
+
+
+def _check_enough(tracks: Sequence[Tracked]) -> None:
+    """Refuse tracks of which too few are left when a part is held out."""
+    from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS
+    from skd_evaluator.risk.behaviour.tracks import folds_of
+
+    by, folds = folds_of(tracks)
+    left = min(len(folds) - folds.count(fold) for fold in set(folds))
+    if left < LEAST_TRACKS:
+        raise UsageError(
+            f"{len(tracks)} tracks, of which {left} are left when those of one {by} are held out; a behaviour model "
+            f"needs at least {LEAST_TRACKS}"
+        )

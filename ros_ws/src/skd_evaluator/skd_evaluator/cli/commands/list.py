@@ -1,0 +1,139 @@
+"""`skd list`: the assessments under a folder, and with --trend how a car has changed from one to the next."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.cli.arguments import add_count, add_flag, add_paths, add_value
+from skd_evaluator.cli.output import finish, warn
+from skd_evaluator.cli.parser import Parser
+
+if TYPE_CHECKING:
+    from skd_evaluator.report.history import Run
+
+_FIGURES = ("margin", "deviation", "skd", "nominal_collision_rate", "risk_1")
+_KEYS: dict[str, Callable[[Run], Any]] = {
+    "date": lambda run: run.date,
+    "folder": lambda run: str(run.folder),
+    "car": lambda run: (run.car, run.date),
+    "margin": lambda run: _known(run.figures["margin"]),
+    "nominal_collision_rate": lambda run: _known(run.figures["nominal_collision_rate"]),
+}
+
+
+def _known(value: float | None) -> float:
+    return math.inf if value is None else value
+
+
+def add(parser: Parser) -> None:
+    """List results under a folder, or how a car has changed from one to the next.
+
+    List the assessments in and under folders: car, margin, date, and commit of the car's code. With --trend say of each
+    car whether it is safer than in the assessment before, as skd compare does.
+    """
+    parser.set_defaults(group="look")
+    text = "folder of results, or one above some (default: skd_results)"
+    add_paths(parser, "paths", "DIR", text, nargs="*", default=[Path("skd_results")])
+    add_value(parser, "--car", "only cars whose name holds this text", metavar="TEXT")
+    add_value(parser, "--scenario", "only scenarios whose name holds this text", metavar="TEXT")
+    add_value(parser, "--sort", "in which order", choices=tuple(_KEYS), default="date")
+    add_count(parser, "--last", 1, 1_000_000, "only so many, the last of the order")
+    add_value(parser, "--trend", "follow this figure of each car from result to result", choices=_FIGURES)
+    add_flag(parser, "--json", "print JSON instead of a table")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    from skd_evaluator.report.formats import counted
+    from skd_evaluator.report.history import find_runs, runs_table
+    from skd_evaluator.report.terminal import print_table
+
+    runs = find_runs(arguments.paths)
+    unread = [one for one in runs if not one.figures]
+    found = [one for one in runs if one.figures and _is_requested(one, arguments)]
+    found.sort(key=_KEYS[arguments.sort])
+    if arguments.last is not None:
+        found = found[-arguments.last :]
+    if arguments.trend is not None:
+        return _trend(arguments, found, unread)
+    content = {"results": [one.as_dict() for one in found], "unread": [str(one.folder) for one in unread]}
+
+    def show() -> None:
+        warn("list", [f"{one.folder}: {one.remark}" for one in unread])
+        if not found:
+            where = ", ".join(map(str, arguments.paths))
+            raise UsageError(f"{where}: holds no such assessment ({counted(len(runs), 'result')} in all)")
+        print_table(runs_table(found))
+        for one in found:
+            for line in filter(None, (one.remark, *one.warnings)):
+                print(f"* {one.folder}: {line}")
+        warn("list", _namesakes(found))
+        print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
+
+    return finish(arguments, content, show)
+
+
+def _is_requested(one: Run, arguments: argparse.Namespace) -> bool:
+    requested = {one.car: arguments.car, one.scenario: arguments.scenario}
+    return all(part is None or part.casefold() in name.casefold() for name, part in requested.items())
+
+
+def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence[Run]) -> int:
+    from skd_evaluator.assessment.compare.comparison import Comparison, compare
+    from skd_evaluator.assessment.files.results import read_result
+    from skd_evaluator.report.history import Run, trend_table, trends_of
+    from skd_evaluator.report.terminal import print_table
+
+    lines = [f"left out: {one.folder}: {one.remark}" for one in unread]
+    read = {}
+    for one in found:
+        try:
+            read[one.folder] = read_result(one.folder)  # it is checked against its episodes
+        except UsageError as error:
+            lines.append(f"left out: {error}")
+    if len(read) < 2:
+        raise UsageError("; ".join(["a trend is of at least two assessments of a car", *lines[:1]]))
+    runs = [Run(folder, result.figures) for folder, result in read.items()]
+
+    def judged(first: Run, second: Run, confidence: float) -> Comparison:
+        return compare(read[first.folder], read[second.folder], confidence)
+
+    trends = trends_of(runs, arguments.trend, judged)
+    lines += [remark for result in read.values() for remark in result.remarks]
+    for compared in (step for trend in trends for step in trend.comparisons if step is not None):
+        lines += compared.lines()
+
+    def show() -> None:
+        for trend in trends:
+            print_table(trend_table(trend))
+
+    return finish(arguments, {"figure": arguments.trend, "cars": [one.as_dict() for one in trends]}, show, lines)
+
+
+def _namesakes(runs: Sequence[Run]) -> list[str]:
+    """Return a line for each name that different scenarios have."""
+    from skd_sim.scenario.scenario import scenario_from_dict
+
+    from skd_evaluator.assessment.compare.comparability import scenario_difference
+
+    first: dict[str, tuple[Run, dict[str, Any]]] = {}
+    found: dict[str, str] = {}
+    for run in runs:
+        try:
+            scenario = scenario_from_dict(run.figures["scenario"], str(run.folder)).as_dict()
+        except UsageError:
+            continue  # a list shows what was written; what reads the result refuses it
+        other, its = first.setdefault(run.scenario, (run, scenario))
+        if (difference := scenario_difference(its, scenario)) is not None:
+            key, there, here = difference
+            line = (
+                f"{run.scenario} is the name of different scenarios: {key} is {there} in {other.folder} and {here} in"
+            )
+            found.setdefault(run.scenario, f"{line} {run.folder}")
+    return list(found.values())

@@ -1,0 +1,180 @@
+"""`skd scenarios`: those that have a name, one of them, a file of one's own; with a picture each."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.cli.arguments import add_output_arguments, add_value, result_folder, steps_of
+from skd_evaluator.cli.output import finish
+from skd_evaluator.cli.parser import Parser
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import check_file, write_file
+
+if TYPE_CHECKING:
+    from skd_sim.scenario.scenario import Scenario
+
+_KMH = 3.6
+
+
+def add(parser: Parser) -> None:
+    """List scenarios, show one, check a file of your own.
+
+    list: scenarios that have a name. show: what happens in some, with a picture each. check: the same of files of your
+    own. campaign: the file of a campaign at several test speeds.
+    """
+    parser.set_defaults(group="look")
+    actions = ("list", "show", "check", "campaign")
+    add_value(parser, "action", f"what to do: {', '.join(actions)}", choices=actions, metavar="ACTION")
+    add_value(parser, "names", "names or files of scenarios", nargs="*", metavar="NAME")
+    text = "with campaign, test speeds of the car, km/h, as 10:60:10"
+    add_value(parser, "--speeds", text, type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP")
+    text = "folder for the pictures, or with campaign the file to write (default: skd_results/scenarios-<time>)"
+    add_output_arguments(parser, "PATH", text)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    from skd_sim.scenario.scenario import load_scenario
+    from skd_sim.scenario.scenario_file import SCENARIOS
+
+    if arguments.action == "list":
+        if arguments.names:
+            raise UsageError("skd scenarios list takes no names; skd scenarios show does")
+        every = [load_scenario(name) for name in SCENARIOS.names()]
+        return _list(arguments, every) if arguments.out is None else _show(arguments, every)
+    if not arguments.names:
+        what = "a file" if arguments.action == "check" else "a name, as cpna or cpna-75"
+        raise UsageError(f"skd scenarios {arguments.action} needs {what}")
+    if arguments.action == "campaign":
+        return _campaign(arguments)
+    if arguments.speeds:
+        raise UsageError("--speeds goes with skd scenarios campaign")
+    return _show(arguments, [load_scenario(name) for name in arguments.names])
+
+
+def _list(arguments: argparse.Namespace, scenarios: Sequence[Scenario]) -> int:
+    from rich.markup import escape
+
+    from skd_evaluator.report.formats import places_of, scenario_data
+    from skd_evaluator.report.terminal import narrow_table, print_table
+
+    rows = [
+        (
+            one.name,
+            one.adversary.kind,
+            f"{_KMH * one.car.start_speed:.0f}",
+            " ".join(f"{place:g}" for place in places_of(one)) or "–",
+            escape(one.description),
+        )
+        for one in scenarios
+    ]
+    heads = ("name", "adversary", "km/h", "impact places (%)", "what happens")
+    table = narrow_table("Scenarios; with an impact place after a dash, as cpna-75", heads, rows)
+    content = {"scenarios": [scenario_data(one, _unknown(one)) for one in scenarios]}
+    return finish(arguments, content, lambda: print_table(table))
+
+
+def _show(arguments: argparse.Namespace, scenarios: Sequence[Scenario]) -> int:
+    from skd_adversary.crossing.road_users import check_kind
+    from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+    from skd_sim.scenario.scenario_file import REGULATORY
+
+    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.report.episode_pictures import save_scenario
+    from skd_evaluator.report.formats import scenario_data, scenario_lines
+
+    trajectories = []
+    for one in scenarios:  # all checks that an assessment makes before any work
+        check_kind(one)
+        count = 0 if one.protocol is None else len(one.protocol.impact_places)
+        trajectories.append(load_safe_trajectories(REGULATORY, one, count) if count else [])
+    known = [_unknown(one) for one in scenarios]
+    names = [f"{one.name}.png" for one in scenarios]
+    if len(set(names)) < len(names):
+        raise UsageError("two of these scenarios have one name; give one of them at a time")
+    entries = [
+        {**scenario_data(one, why), "picture": name} for one, why, name in zip(scenarios, known, names, strict=True)
+    ]
+    out = result_folder(arguments)
+
+    def write(folder: Path) -> None:
+        for one, drawn, name in zip(scenarios, trajectories, names, strict=True):
+            save_scenario(folder / name, one, drawn)
+        write_json(folder / "scenarios.json", {"scenarios": entries})
+
+    def show() -> None:
+        for one, why, name in zip(scenarios, known, names, strict=True):
+            print("\n".join(scenario_lines(one, why)))
+            print(f"  picture: {out.path / name}")
+
+    out.write(write)
+    return finish(arguments, {"scenarios": entries}, show)
+
+
+def _unknown(scenario: Scenario) -> str | None:
+    """Return why the basic car's margin is not exact in a scenario, in a few words; None where it is."""
+    from skd_evaluator.assessment.plan import Plan
+    from skd_evaluator.margin.basic_margins import unknown_for
+
+    return unknown_for(Plan(scenario))
+
+
+def _campaign(arguments: argparse.Namespace) -> int:
+    """Print a campaign's file, or write it."""
+    from skd_adversary.safe_trajectories.sources import count_safe_trajectories
+    from skd_sim.scenario.scenario import changed_scenario
+    from skd_sim.scenario.scenario_file import REGULATORY
+
+    from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
+
+    if not arguments.speeds:
+        raise UsageError("skd scenarios campaign needs --speeds, as 10:60:10")
+    for name in arguments.names:
+        for speed in arguments.speeds:
+            count_safe_trajectories(REGULATORY, changed_scenario(name, {"car.start_speed": speed / _KMH}))
+    names = [_as_named(name, arguments.out) for name in arguments.names]
+    text = "\n".join(_campaign_lines(names, arguments.speeds)) + "\n"
+    if arguments.out is None:
+        print(text, end="")
+        return 0
+    check_file(arguments.out, "--out", overwrite=arguments.overwrite)
+    refuse_to_replace(arguments.out, inputs_of(vars(arguments)))
+    try:
+        write_file(arguments.out, text, overwrite=arguments.overwrite)
+    except OSError as error:
+        raise AssessmentError(f"--out {arguments.out}: nothing was written: {error.strerror}") from error
+    print(f"campaign in {arguments.out}; skd campaign {arguments.out} runs it")
+    return 0
+
+
+def _as_named(name: str, campaign: Path | None) -> str:
+    """Return how a campaign's file names a scenario: a file by the way to it from where the campaign is."""
+    from skd_sim.scenario.scenario_file import SCENARIOS, is_named
+
+    if campaign is None or name in SCENARIOS.own or not Path(name).is_file():
+        return name
+    found = os.path.relpath(Path(name).absolute(), campaign.absolute().parent)
+    return f"./{found}" if is_named(found) else found
+
+
+def _campaign_lines(names: Sequence[str], speeds: Sequence[float]) -> list[str]:
+    from skd_sim.inputs.yaml_file import as_yaml
+
+    metres = ", ".join(repr(speed / _KMH) for speed in speeds)
+    return [
+        f"# {', '.join(map(as_yaml, names))} at {', '.join(f'{speed:g}' for speed in speeds)} km/h",
+        "defaults:",
+        "  safe: regulatory",
+        "  kamikaze_count: 20",
+        "  objective: deviation",
+        "scenarios:",
+        *(f"  - scenario: {as_yaml(name)}" for name in names),
+        "sweep:",
+        f"  scenario.car.start_speed: [{metres}] # m/s",
+    ]

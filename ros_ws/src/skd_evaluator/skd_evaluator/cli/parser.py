@@ -1,0 +1,160 @@
+"""The parser of all commands: finds them, shows them in groups, reads a command line. Light: every start has it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import pkgutil
+import re
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.files import did_you_mean
+from skd_sim.options.registry import Registry
+
+from skd_evaluator.cli import commands as own
+
+COMMANDS = "skd.commands"
+"""Group of entry points of further commands: functions as `add` in `cli/commands`, each in a module with a `run`."""
+GROUPS = ("rate", "look", "compare and gate", "exchange", "research", "of installed packages")
+"""Headings of the help, in order; a command that names none of its own stands under the last."""
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors and usage are one line, and whose help leaves out what is rare.
+
+    Attributes:
+        everything: whether the help has all options.
+    """
+
+    everything = False
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with the message."""
+        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+    def format_help(self) -> str:
+        """Return the help, with a short usage, and how many options it leaves out."""
+        self.usage = " ".join([self.prog, *filter(None, map(_usage, self._actions)), "[options]"])
+        hidden = sum(one.help is argparse.SUPPRESS for one in self._actions)
+        self.epilog = f"--help-all shows {hidden} more options." if hidden else None
+        return super().format_help()
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if message and file is not None and file is sys.stdout:
+            file.write(message)  # Python's own drops without a word what the disk does not take
+        else:
+            super()._print_message(message, file)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(str(value), map(str, action.choices or ()))
+            raise
+
+
+def _usage(one: argparse.Action) -> str:
+    """Return how an argument stands in the usage; nothing for what may be left out."""
+    name = str(one.metavar or one.dest.upper())
+    if one.option_strings:
+        return f"{one.option_strings[0]} {name}" if one.required else ""
+    many = f"{name} …" if one.nargs in ("+", "*") else name
+    return f"[{many}]" if one.nargs in ("?", "*") else many
+
+
+def rare(text: str) -> str:
+    """Return the text of an option that only --help-all shows."""
+    return text if Parser.everything else argparse.SUPPRESS
+
+
+def _add(commands: Any, name: str, add: Callable[[Parser], None]) -> None:
+    """Add a command: its help is the docstring of the function that adds its options, whose module has its `run`."""
+    first, _, rest = (inspect.getdoc(add) or "").partition("\n")
+    text = " ".join(rest.split()) or first
+    said = (first[:1].lower() + first[1:]).removesuffix(".")
+    found: Parser = commands.add_parser(name, help=said.replace("%", "%%"), description=text)
+    found.set_defaults(module=add.__module__)
+    add(found)
+
+
+class _Skd(Parser):
+    """The parser of all commands, whose help has them in groups."""
+
+    def format_help(self) -> str:
+        """Return the help."""
+        (commands,) = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))
+        rows: dict[str, list[str]] = {group: [] for group in GROUPS}
+        for one in sorted(commands._choices_actions, key=lambda one: one.dest):
+            rows[commands.choices[one.dest].get_default("group") or GROUPS[-1]].append(f"  {one.dest:<10}{one.help}")
+        lines = [f"usage: skd COMMAND [options]\n\n{self.description}"]
+        lines += ["\n".join(["", group, *found]) for group, found in rows.items() if found]
+        return "\n".join([*lines, "", "skd COMMAND --help explains a command, skd --version names the version.", ""])
+
+
+def make_parser(words: Sequence[str] = ()) -> Parser:
+    """Return the parser of all commands; of the first word alone if that is one of SKD's own, which is quicker."""
+    Parser.everything = "--help-all" in words
+    parser = _Skd(
+        prog="skd",
+        description="Measure how far a pedestrian may deviate from a safe crossing before a self-driving car collides.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+    names = [one.name for one in pkgutil.iter_modules(own.__path__)]
+    for name in words[:1] if words and words[0] in names else names:
+        _add(commands, name, importlib.import_module(f"{own.__name__}.{name}").add)
+    if not words or words[0] not in names:
+        registry = Registry("command", COMMANDS, dict.fromkeys(names, ""))
+        for name in registry.registered():
+            try:
+                _add(commands, name, registry.find(name))
+            except UsageError as error:  # it cannot be loaded
+                commands.add_parser(name, help=str(error)).set_defaults(problem=str(error))
+    for one in commands.choices.values():
+        one.add_argument("--help-all", action="help", help="show all options, rare ones too, and exit")
+    return parser
+
+
+def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
+    """Return what a command line requests, with the parameters that it names; wrong usage ends the program.
+
+    Raises:
+        UsageError: a parameter is wrong.
+    """
+    arguments, unknown = parser.parse_known_args(words)
+    chosen = commands_of(parser)[arguments.command]
+    if problem := getattr(arguments, "problem", ""):
+        parser.exit(EXIT_USAGE, f"{parser.prog}: error: {problem}\n")
+    if strange := next((word for word in words if re.search("[\ud800-\udfff]", word)), ""):
+        chosen.error(f"{strange!r} has bytes that are no text in UTF-8; give another name")
+    if unknown:
+        flags = [flag for action in chosen._actions for flag in action.option_strings]
+        given = [word.partition("=")[0] for word in unknown if re.match(r"--\w", word)]
+        near = next(filter(None, (did_you_mean(flag, flags) for flag in given)), "")
+        chosen.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
+    read = getattr(arguments, "read_parameters", None)  # of a command that takes -p and --params-file
+    if read is not None and (found := read(arguments)):
+        chosen.set_defaults(**found)
+        arguments = parser.parse_args(words)
+    return arguments
+
+
+def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """Return the parser of each command."""
+    (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return dict(found.choices)
+
+
+class _Version(argparse.Action):
+    """Prints the version; the lookup is made only when it is requested."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_ignored: object) -> None:
+        from skd_evaluator.version import version
+
+        print(f"skd {version()}")
+        parser.exit()

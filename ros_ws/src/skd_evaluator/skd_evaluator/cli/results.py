@@ -1,0 +1,131 @@
+"""What commands that rate a car print of an assessment, and the exit code that follows."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from skd_sim.world.episode import counts_in_words
+
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.files.result_folder import ResultFolder
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.cli.gate import Gate
+from skd_evaluator.cli.output import print_json, say, warn
+from skd_evaluator.report.formats import counted
+from skd_evaluator.report.terminal import (
+    command_ages,
+    details_table,
+    few_safe_trajectories,
+    headline,
+    headline_table,
+    interval_notes,
+    print_table,
+    safe_trajectory_table,
+    surrogate_table,
+)
+from skd_evaluator.report.warnings import most_frequent, warnings_of, why_failed
+from skd_evaluator.ros.processes import log_of
+
+_SHOWN = 10
+
+
+def print_result(
+    assessment: Assessment,
+    out: ResultFolder,
+    arguments: argparse.Namespace,
+    gate: Gate,
+    problem: str | None = None,
+    said: Collection[str] = (),
+) -> int:
+    """Print an assessment and where it is, check the gate's conditions, and return the exit code.
+
+    Args:
+        assessment: what was found.
+        out: folder to which the result was written.
+        arguments: arguments of the command.
+        gate: the conditions that it has to meet.
+        problem: why the result is not where it was requested; None if it is.
+        said: warnings of the assessment that were printed before.
+    """
+    result = assessment.as_dict()
+    if arguments.json:
+        print_json(result)
+    else:
+        print_tables(result, details=arguments.details)
+        seconds = f"{assessment.seconds:.1f} s"
+        more = "" if arguments.details else "; --details prints every figure, SKD among them"
+        print(seconds if problem else f"{seconds}; results in {out.path}{more}")
+    warn(arguments.command, warnings_of(assessment, said=said))
+    failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted)]
+    checks = gate.checks(result, None if problem else out.path, failures)
+    if len(checks) > 1 and checks[0].error and not failures:
+        failures.append(f"gate: nothing can be said of the car: {checks[0].text}")
+    for one in checks[1:]:  # the first is of the failures above
+        if one.passed and not arguments.json:
+            print(f"gate: {one.name}: passed, {one.text}")
+        elif not one.passed:
+            failures.append(f"gate: {one.name}: {'error' if one.error else 'failed'}, {one.text}")
+    if unwritten := gate.write(result, checks):
+        failures.append(unwritten)
+    say(arguments.command, *failures)
+    # How many of which is among the warnings, and the reason among the failures, if they are too many.
+    logs = out.path / "logs"
+    if assessment.reasons and (logs.is_dir() or not any(most_frequent(assessment.reasons) in why for why in failures)):
+        say(arguments.command, f"why episodes were aborted: {_reasons(assessment.reasons, logs)}")
+    return 1 if failures else 0
+
+
+def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: ResultFolder) -> None:
+    """Say how many episodes were aborted and why, and which log of a graph says more; nothing if none was."""
+    if reasons:
+        aborted = f"{len(reasons)} of {counted(episodes, 'episode')} aborted"
+        say(command, f"{aborted}: {_reasons(reasons, out.path / 'logs')}")
+
+
+def _reasons(reasons: Sequence[str], logs: Path) -> str:
+    """Return in words why episodes were aborted: which log of a graph says more, or else the most frequent reason."""
+    first = most_frequent(reasons)
+    more = f"log: {log_of(logs, first)}" if logs.is_dir() else f"the first one so: {first}"
+    return f"{counts_in_words(reasons)}; {more}"
+
+
+def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
+    """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
+    print(headline(result))
+    print_table(headline_table(result))
+    for line in filter(None, (command_ages(result), few_safe_trajectories(result))):
+        print(line)
+    if not details:
+        return
+    if result["equivalent_multiplier_note"]:
+        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
+    for table in filter(None, (details_table(result), surrogate_table(result), safe_trajectory_table(result))):
+        print_table(table)
+    for note in interval_notes(result):
+        print(f"Interval of {note}")
+    if result["until_width"]:
+        print(f"Stopped {result['until_width']['text']}")
+
+
+def say_damage(command: str, damage: Damage) -> None:
+    """Say what was left out of recordings, and what is to be known of the rest."""
+    say_left_out(command, damage)
+    lines = list(damage.warnings)
+    if damage.unchecked:
+        first = f"{damage.unchecked[0]}" + (", …" if len(damage.unchecked) > 1 else "")
+        lines.append(
+            f"{counted(len(damage.unchecked), 'file')} without checksums ({first}): damage that leaves a possible "
+            "episode cannot be noticed there"
+        )
+    warn(command, lines)
+
+
+def say_left_out(command: str, damage: Damage) -> None:
+    """Say what was left out of recordings, the first of it in full."""
+    lines = [f"left out: {line}" for line in damage.left_out[:_SHOWN]]
+    if len(damage.left_out) > _SHOWN:
+        lines.append(f"left out: {len(damage.left_out) - _SHOWN} more")
+    warn(command, lines)

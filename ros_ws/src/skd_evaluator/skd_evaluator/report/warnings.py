@@ -1,0 +1,176 @@
+"""What a reader should know before believing an assessment, a line each, from the content of its assessment.json.
+
+The same lines stand on the terminal, in the page, in Markdown and in a campaign's table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from skd_sim.options.adversary import SKD_OBJECTIVES, first_of
+from skd_sim.world.episode import counted_reasons
+
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.episode_figures import collision_partner
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
+from skd_evaluator.metrics.margins import GAP_WARNING, stopped_at
+
+Result = Mapping[str, Any]
+"""Content of assessment.json."""
+_FEWEST = 10
+"""Trials below which optimality gap, or a quantile of impacts, says little."""
+_JUST_ABOVE = 0.25
+"""m/s above the hit speed within which nearly all hits are a matter of where it is set."""
+
+
+def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
+    """Return what is to be known of the figures.
+
+    Args:
+        result: content of assessment.json.
+        planned: whether what is to be known of the margin beside planned kamikazes is among it; a table that has the
+            optimality gap as a column needs none.
+    """
+    found = [nothing] if (nothing := undefined(result)) and result["margin"] is not None else []
+    for row in result["per_safe_trajectory"]:
+        if not row["safe"]:
+            found.append(
+                f"safe trajectory {row['name']!r} was hit in {100 * row['contact_rate']:.0f} % of "
+                f"{row['collision_runs']} runs along it: with this car it is not safe, and a kamikaze need not leave it"
+            )
+    found += _of_margin(result) if planned else []
+    if (stopped := result["until_width"]) and not stopped["reached"]:
+        found.append(stopped["text"])
+    if (clipped := result["commands_clipped"])["commands"]:
+        found.append(
+            f"{clipped['commands']} commands in {clipped['episodes']} episodes were beyond what this car can do; "
+            "they were clipped"
+        )
+    return [*found, *contact_warnings(result)]
+
+
+def contact_warnings(result: Result) -> list[str]:
+    """Return that a simulator's contacts are others than SKD's; nothing where they are the same."""
+    found = result.get("simulator_contacts")
+    if not found or not found["geometry_alone"] + found["simulator_alone"]:
+        return []
+    return [
+        f"of {found['episodes']} episodes the car touched a road user by SKD's geometry alone in "
+        f"{found['geometry_alone']}, by the simulator's shapes alone in {found['simulator_alone']}; SKD's counts"
+    ]
+
+
+def _of_margin(result: Result) -> Iterator[str]:
+    """Yield what is to be known of the margin and of the planned figures beside it; nothing where it is not known."""
+    if result["margin"] is None:
+        return
+    trials, beyond, close = result["margin_trials"], result["margin_beyond"], result["optimality_gap"]
+    if not result["margin_converged"]:
+        yield f"the search for the margin {stopped_at(result)}: the margin may be less; give a greater --margin-limit"
+    if close is not None and close > GAP_WARNING and trials >= _FEWEST:
+        yield (
+            f"planned kamikazes needed {close:.2f} times the margin: the planned deviation and SKD say as much about "
+            "what they knew as about the car; judge it by the margin"
+        )
+    impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
+    if impact and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE and trials - beyond >= _FEWEST:
+        yield (
+            f"90 % of the margin's hits are at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s: "
+            "another collision.hit_speed would give another margin"
+        )
+    touched, hit = _contacts(result)
+    if hit and beyond == trials:
+        yield (
+            f"no hit within η_max was found in the {trials} trials of the margin, but {hit} other "
+            f"{'episodes' if hit > 1 else 'episode'} ended in a hit: give a greater --kamikaze-count or --safe-count, "
+            "or a scenario with a greater eta_max"
+        )
+    elif result["margin_ci95"] is not None and result["margin_ci95"][0] == result["margin_ci95"][1]:
+        yield (
+            f"all {trials} trials have the same margin, so its interval has no width: a greater --safe-count says more"
+        )
+    if touched and not hit and beyond == trials:
+        yield f"the car was only walked into: {touched} kamikazes touched it, while it drove slower than {least:g} m/s"
+
+
+def _contacts(result: Result) -> tuple[int, int]:
+    """Return how many kamikazes touched the car, and how many of them and of runs along φ the moving car hit."""
+    touched, hit = 0, round((result["nominal_collision_rate"] or 0.0) * result["collision_runs"])
+    for one in result["objectives"].values():
+        reached, standing = one["trials"] - one["failed"], one["standing_contacts"]
+        hits = reached if one["plans_deviation"] else reached - standing  # others plan for any contact
+        touched += hits + standing
+        hit += hits
+    return touched, hit
+
+
+def undefined(result: Result) -> str | None:
+    """Return why SKD is not defined, in one line; None if it is."""
+    if result["skd"] is not None:
+        return None
+    one = result["objectives"][first_of(SKD_OBJECTIVES, result["objectives"])]
+    discarded, reasons = result["discarded_by_distance"], result["aborted_reasons"]
+    why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
+    if one["aborted"] and not one["trials"]:
+        why = f"every kamikaze episode was aborted ({next(iter(reasons.values()))['first'] or next(iter(reasons))})"
+    elif one["aborted"] and not discarded:
+        why += f", and {one['aborted']} of {one['trials'] + one['aborted']} kamikaze episodes were aborted"
+    return f"{why}; SKD is not defined"
+
+
+def most_frequent(reasons: Iterable[str]) -> str:
+    """Return the first reason of the most frequent kind."""
+    kind, most = next(iter(counted_reasons(reasons).items()))
+    return str(most["first"] or kind)
+
+
+def why_failed(assessment: Assessment, maximum_aborted: float, result: Result | None = None) -> list[str]:
+    """Return why an assessment counts as failed; that SKD is not defined is no reason where the margin is known.
+
+    Args:
+        assessment: the assessment of all episodes, aborted ones counted.
+        maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
+        result: content of its assessment.json, where the assessment is of its episodes alone, which are not all.
+    """
+    result = result or assessment.as_dict()
+    nothing = undefined(result) if result["margin"] is None else None
+    found = (nothing, too_many_aborted(result, maximum_aborted), *not_credible(assessment.warnings))
+    return [why for why in found if why]
+
+
+def with_failures(assessment: Assessment, maximum_aborted: float) -> Assessment:
+    """Return the assessment with why it counts as failed among its warnings, where no exit code says it.
+
+    That SKD is not defined makes no margin less credible.
+    """
+    result = assessment.as_dict()
+    too_many = too_many_aborted(result, maximum_aborted)
+    found = [undefined(result), f"{NOT_CREDIBLE}{too_many}" if too_many else None]
+    return replace(assessment, warnings=(*assessment.warnings, *(line for line in found if line)))
+
+
+def warnings_of(assessment: Assessment, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
+    """Return what a reader should know that is no failure.
+
+    Args:
+        assessment: the assessment with its figures.
+        planned: see `figure_warnings`.
+        said: lines that were printed already.
+    """
+    own = [line for line in assessment.warnings if line not in {*not_credible(assessment.warnings), *said}]
+    return [*own, *figure_warnings(assessment.as_dict(), planned=planned), *_hits_of_others(assessment)]
+
+
+def _hits_of_others(assessment: Assessment) -> list[str]:
+    """Return how often the car ran into others than the adversary, which counts as any collision."""
+    others = assessment.plan.scenario.others
+    logs = [*assessment.kamikaze_logs, *assessment.nominal_runs] if others else []
+    who = [collision_partner(log) for log in logs]
+    return [
+        f"in {who.count(index)} of {len(logs)} episodes the car ran into others[{index}], a {other.kind}, and not into "
+        "the adversary; that counts as any collision"
+        for index, other in enumerate(others)
+        if index in who
+    ]
