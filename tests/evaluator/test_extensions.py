@@ -67,3 +67,31 @@ def test_cars_are_assessed_and_reported_without_any_extension(tmp_path: Path):
     assert json.loads((tmp_path / "result" / "assessment.json").read_text("utf-8"))["controller"] == "basic"
     assert skd(tmp_path, "report", "result", "--out", "page.html").returncode == 0
     assert "The regulator's view" not in (tmp_path / "page.html").read_text("utf-8")
+
+
+OWN = '''"""A command of one file."""
+
+
+def add(parser):
+    """Greet a user.
+
+    Greet a name, as often as is requested.
+    """
+    parser.set_defaults(group="look")
+    parser.add_argument("--times", type=int, default=1, help="how often")
+
+
+def run(arguments):
+    """Run the command."""
+    print("hello " * arguments.times)
+    return 3
+'''
+
+
+def test_a_command_is_one_file(tmp_path: Path):
+    package = copied(tmp_path)
+    (package / "cli" / "commands" / "greet.py").write_text(OWN)
+    assert re.search(r"^  greet +greet a user$", skd(tmp_path, "--help").stdout, re.MULTILINE)
+    assert "Greet a name, as often as is requested." in skd(tmp_path, "greet", "--help").stdout
+    done = skd(tmp_path, "greet", "--times", "2")
+    assert (done.returncode, done.stdout.split(), done.stderr) == (3, ["hello", "hello"], "")

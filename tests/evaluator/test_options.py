@@ -18,7 +18,15 @@ from skd_evaluator.cli.arguments import graph_options
 from skd_evaluator.cli.parser import make_parser, parse
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import BOTH, Objective
-from skd_sim.options.options import FIELDS, EpisodeOptions, SimulatorOptions, option, options_from_text, options_of
+from skd_sim.options.options import (
+    FIELDS,
+    PLANNING,
+    EpisodeOptions,
+    SimulatorOptions,
+    option,
+    options_from_text,
+    options_of,
+)
 from skd_sim.ros.from_messages import message_to_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
@@ -32,7 +40,7 @@ ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "ac
 class More(EpisodeOptions):
     """The table with an entry more of every kind."""
 
-    depth: int = option(7, "how deep to look", low=1, high=90, metavar="N", planning=True)
+    depth: int = option(7, "how deep to look", low=1, high=90, metavar="N", marks=(PLANNING,))
     pace: float | None = option(None, "how fast to go, m/s", float, low=0.0, high=9.0, unset="as it likes")
     bold: bool = option(False, "whether it dares")
     word: str = option("calm", "what it is like")
@@ -129,7 +137,7 @@ def test_each_command_has_its_options_once(command: str):
     values = vars(parser.parse_args([command]))
     for one in options_of(CampaignOptions):
         if command in one.commands:
-            wanted = str(one.default) if (command, one.asked) == ("episode", BOTH) else one.asked or one.default
+            wanted = str(one.default) if (command, one.assessed) == ("episode", BOTH) else one.assessed or one.default
             if (command, one.name) == ("episode", "safe_count"):
                 wanted = 1  # a single episode has one φ, unless it repeats one of a campaign
             wanted = PAPER.get((command, one.name), wanted)

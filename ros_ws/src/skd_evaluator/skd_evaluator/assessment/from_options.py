@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import real_path
 from skd_sim.options.adversary import AdversaryModel, check_adversary_model, default_adversary_model, objectives_named
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.options import options_of, values_of
+from skd_sim.options.options import EXTERNAL, GRAPH, options_of, values_of
 from skd_sim.scenario.scenario import Scenario, changed_scenario, check_control_period, load_scenario
 from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS, is_named, lineage
 
@@ -70,7 +70,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     """
     if not graph:
         for one in options_of(GraphOptions):
-            if one.graph_only and values[one.name] != one.unsaid:
+            if GRAPH in one.marks and values[one.name] != one.unsaid:
                 raise UsageError(f"{one.flag} is for the node graph: add --graph")
     car = CarUnderTest(values["controller"], values["multiplier"])
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
@@ -87,7 +87,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     if not car.is_external:
         scenario = check_controller(car, scenario)
         for one in options_of(GraphOptions):
-            if one.external_only and values[one.name] != one.unsaid:
+            if EXTERNAL in one.marks and values[one.name] != one.unsaid:
                 raise UsageError(f"{one.flag} goes with --controller external")
     elif not graph:
         how = "add --graph" if "graph" in values else "skd assess --graph runs it"

@@ -8,8 +8,11 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.options.options import (
+    EXTERNAL,
+    GRAPH,
     LAUNCHES,
     LOCKSTEP,
+    RARE,
     CommandOptions,
     EpisodeOptions,
     Lists,
@@ -102,21 +105,21 @@ class AssessmentOptions:
         metavar="N",
         commands=("assess", "sweep"),
         unset="2000 for the basic car, 500 for others, 100 through the graph",
-        seldom=True,
+        marks=(RARE,),
     )
     risk_subset: bool = option(
         False,
         "use subset simulation wherever the crossings show fewer than 50 hits, whatever the car: 16000 crossings "
         "or more a scale",
         commands=("assess", "sweep"),
-        seldom=True,
+        marks=(RARE,),
     )
     curve: bool = option(
         False,
         "also plan kamikazes that may deviate only up to a limit, for several limits: points of the "
         "vulnerability curve",
         commands=("assess",),
-        seldom=True,
+        marks=(RARE,),
     )
 
 
@@ -138,7 +141,7 @@ class EvaluatorOptions(CommandOptions):
         low=0.0,
         high=10.0,
         metavar="S",
-        external_only=True,
+        marks=(GRAPH, EXTERNAL, RARE),
         unset="as the scenario says",
     )
     lifecycle_nodes: str = graph_option(
@@ -193,10 +196,9 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         "the shell command that starts the controller's node",
         str,
         metavar="COMMAND",
-        external_only=True,
         unset="you start the controller yourself",
         launches=(),
-        seldom=False,
+        marks=(GRAPH, EXTERNAL),
     )
     message_folder: tuple[str, ...] | None = graph_option(
         None,
@@ -204,7 +206,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         tuple,
         metavar="DIR",
         unset="none",
-        external_only=True,
+        marks=(GRAPH, EXTERNAL, RARE),
         launches=(),
     )
     reset: str = graph_option(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
-from skd_sim.options.options import options_of, shared_options
+from skd_sim.options.options import PLANNING, options_of, shared_options
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
@@ -29,7 +29,7 @@ from skd_evaluator.metrics.aborted import aborted_lines
 
 _OPTIONS = [one for one in options_of(EpisodeSpec) if one.name != "objective"]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))
-_OF_KAMIKAZES = [one.name for one in _OPTIONS if one.planning]  # no matter in an episode that plans nothing
+_OF_KAMIKAZES = [one.name for one in _OPTIONS if PLANNING in one.marks]  # no matter in an episode that plans nothing
 
 
 def _select(episodes: Sequence[BagEpisode], campaign: str | None) -> list[BagEpisode]:

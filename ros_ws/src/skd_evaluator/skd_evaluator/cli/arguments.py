@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.options import Option, options_of, read_options, values_of
+from skd_sim.options.options import RARE, Option, options_of, read_options, values_of
 
 from skd_evaluator.assessment.options import (
     MAXIMUM_ABORTED,
@@ -155,7 +155,7 @@ def add_options(
         if command in one.commands and title in ("", one.group):
             known[one.name] = (one, table)
             found = {**_argument(one), **changes.get(one.name, {})}
-            if one.seldom or one.name in hidden:
+            if RARE in one.marks or one.name in hidden:
                 found["help"] = rare(found["help"])
             group.add_argument(one.flag, **found)
 

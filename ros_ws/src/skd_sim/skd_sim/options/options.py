@@ -37,6 +37,7 @@ FIELDS: Final = {"controller", "multiplier", "car_model", "simulations", "object
 GRAPH_COMMANDS: Final = ("assess", "episode", "probe", "drive")
 """Those that can run their episodes through the node graph."""
 LAUNCHES: Final = ("assessment", "episode")
+PLANNING, GRAPH, EXTERNAL, RARE = "planning", "graph", "external", "rare"
 
 
 class Names:
@@ -82,12 +83,10 @@ class Option:
         group: title of the group of options to which it belongs on the command line.
         commands: names of the commands that take it.
         launches: names of the launch files that take it.
-        asked: its default for an assessment, where that differs from the default of a single episode.
+        assessed: its default for an assessment, where that differs from the default of a single episode.
         unset: what None, or an empty text, means.
-        planning: whether it matters only where somebody plans.
-        graph_only: whether it has no effect on episodes that run in process.
-        external_only: whether it is about a controller that is a node of somebody else.
-        seldom: whether it is rare, and the help leaves it out unless all is wanted.
+        marks: PLANNING: it matters only where an adversary plans; GRAPH: it has no effect on episodes that run in
+            process; EXTERNAL: it is about a controller that is a node of the user's; RARE: the help leaves it out.
         name: filled in from the field.
     """
 
@@ -101,12 +100,9 @@ class Option:
     group: str = "campaign"
     commands: tuple[str, ...] = COMMANDS
     launches: tuple[str, ...] = LAUNCHES
-    asked: Any = None
+    assessed: Any = None
     unset: str = ""
-    planning: bool = False
-    graph_only: bool = False
-    external_only: bool = False
-    seldom: bool = False
+    marks: tuple[str, ...] = ()
     name: str = ""
 
     @property
@@ -122,7 +118,7 @@ class Option:
     @property
     def unsaid(self) -> Any:
         """Its value on the command line where it is not given."""
-        return self.default if self.asked is None else self.asked
+        return self.default if self.assessed is None else self.assessed
 
     @property
     def absent(self) -> Any:
@@ -132,7 +128,7 @@ class Option:
     @property
     def plain_default(self) -> Any:
         """What a parameter or a launch argument is by default, as plain data."""
-        return self.plain(self.default) if self.asked is None else self.asked
+        return self.plain(self.default) if self.assessed is None else self.assessed
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -228,7 +224,7 @@ class EpisodeOptions:
         group="car and test",
         commands=("assess", "episode"),
         unset="exact if basic, else learned",
-        planning=True,
+        marks=(PLANNING,),
     )
     simulations: int = option(
         DEFAULT_SIMULATIONS,
@@ -237,14 +233,14 @@ class EpisodeOptions:
         high=100_000,
         metavar="N",
         commands=COMMANDS,
-        planning=True,
+        marks=(PLANNING,),
     )
     objective: Objective = option(
         Objective.PAPER,
         "what kamikazes are rewarded for: deviation (a small one), paper (an early collision), frechet (a small "
         "Fréchet distance), or both: deviation, then paper",
         choices=Names((BOTH,), OBJECTIVES),
-        asked=BOTH,
+        assessed=BOTH,
     )
     particles: int | None = option(
         None,
@@ -255,8 +251,7 @@ class EpisodeOptions:
         metavar="N",
         unset="the number for which the objective was tuned",
         commands=("episode",),
-        planning=True,
-        seldom=True,
+        marks=(PLANNING, RARE),
     )
     maximum_distance: float | None = option(
         None,
@@ -267,7 +262,7 @@ class EpisodeOptions:
         metavar="M",
         launches=("assessment",),
         unset="none is left out",
-        seldom=True,
+        marks=(RARE,),
     )
 
     @property
@@ -385,10 +380,10 @@ FRAMES = Frames()
 """What most stacks call them."""
 
 
-graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True, seldom=True)
+graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, marks=(GRAPH, RARE))
 _RATED = tuple(name for name in GRAPH_COMMANDS if name != "drive")
 """Commands of what is rated; what one only watches goes by the wall clock."""
-_command_option = partial(graph_option, external_only=True)
+_command_option = partial(graph_option, marks=(GRAPH, EXTERNAL, RARE))
 
 LOCKSTEP = "lockstep"
 REAL_TIME = "real_time"
@@ -449,7 +444,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
         "when the simulator advances: lockstep (when all commands have arrived), or real_time (by the wall clock)",
         choices=Names((LOCKSTEP, REAL_TIME)),
         commands=_RATED,
-        seldom=False,
+        marks=(GRAPH,),
     )
     rate_factor: float = graph_option(
         1.0,
@@ -475,7 +470,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
         high=10.0,
         metavar="S",
         unset="the simulator waits until each state is answered",
-        external_only=True,
+        marks=(GRAPH, EXTERNAL, RARE),
     )
     command_timeout: float = graph_option(
         5.0,
@@ -491,7 +486,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
         low=0.05,
         high=3600.0,
         metavar="S",
-        graph_only=False,
+        marks=(RARE,),
     )
     maximum_acceleration: float = graph_option(
         3.0,
@@ -512,5 +507,5 @@ class SimulatorOptions(CommandOptions, StateOptions):
         "publish the car's start pose on /initialpose (geometry_msgs/PoseWithCovarianceStamped, frame map) "
         "before each episode",
         commands=(),
-        graph_only=False,
+        marks=(RARE,),
     )

@@ -8,7 +8,7 @@ from typing import Any
 from skd_sim.inputs.files import one_line
 from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.options.car_under_test import BASIC, DYNAMICS, WORLD
-from skd_sim.options.options import FIELDS, EpisodeOptions, options_of
+from skd_sim.options.options import FIELDS, PLANNING, EpisodeOptions, options_of
 
 from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.files.results import StoredResult
@@ -20,7 +20,7 @@ OF_SKD = keys_of(Of.SKD)
 """Those of them that are of the kamikazes that SKD is of."""
 
 _PLANNING = tuple(
-    one for one in options_of(EpisodeOptions) if one.planning and one.name not in {*FIELDS, "adversary_model"}
+    one for one in options_of(EpisodeOptions) if PLANNING in one.marks and one.name not in {*FIELDS, "adversary_model"}
 )
 
 
