@@ -55,23 +55,12 @@ SMALLER = {  # what is put behind a command, so that it takes a second
 QUICKER = {"drive": "-p rate_factor:=100"}  # of a command that writes no result
 UNLEARNED = {"--car-model", "--adversary-model"}  # without these a car that is not the basic one is learned first
 NO_LEARNING = ["--adversary-model", "generic"]
+NO_RISK = ["--behaviour", "none"]  # thousands of crossings, which of a user's car are driven one by one
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
 SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}
 SHOWN = {"assess": "--workers 1"}  # what the output does not depend on
-REGISTERED = {
-    "near": "paper",
-    "ice": "world",
-}  # by the package of docs/extending.md, and names of SKD's own of that kind
-EARLIER = (
-    "A",
-    "B",
-    "C",
-    "earlier_result",
-    "result_of_A",
-    "result_of_B",
-    "versions",
-    "skd_results/first",
-)  # results that a reader has
+REGISTERED = {"near": "paper", "ice": "world"}  # by the package of docs/extending.md → of SKD's own
+EARLIER = ("A", "B", "C", "earlier_result", "result_of_A", "result_of_B", "versions", "skd_results/first")  # results
 
 BLOCKS = [block for document in documents() for block in blocks(document)]
 SHELL = [block for block in BLOCKS if block.is_shell]
@@ -140,11 +129,6 @@ def output_folder(call: Call) -> Path | None:
     return Path(call.words[call.words.index("--out") + 1]) if "--out" in call.words else None
 
 
-def learns(call: Call) -> bool:
-    """Whether a command would learn its car before it rates it, which takes a minute or two."""
-    return "--controller" in call.words and not UNLEARNED & set(call.words)
-
-
 def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool) -> None:
     """Run a command in the checkout, or take the result of one like it."""
     out, key = output_folder(call), without_sizes(call)
@@ -155,8 +139,9 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
     command = call.words[0]
     words = list(call.words)
     words += shlex.split((SHOWN if as_it_stands else SMALLER | QUICKER).get(command, ""))
-    if command == "assess" and not as_it_stands and learns(call):
-        words += NO_LEARNING
+    if command == "assess" and not as_it_stands and "--controller" in words:
+        words += [] if UNLEARNED & set(words) else NO_LEARNING
+        words += [] if "--behaviour" in words else NO_RISK
     for option in ENOUGH.keys() & set(call.words):
         words += shlex.split(ENOUGH[option])
     if out is None and command in SMALLER:

@@ -67,10 +67,6 @@ def test_formulas_are_drawn_by_the_build(pages: dict[str, str]):
     assert not any("arithmatex" in page for page in pages.values())
 
 
-def test_pipes_in_the_code_of_tables_are_pipes(pages: dict[str, str]):
-    assert not any(re.search(r"<td[^\n]*<code>[^<]*\\\|", page) for page in pages.values())
-
-
 def test_the_command_line_is_there_whole(pages: dict[str, str]):
     page = html.unescape(pages["commands.html"])
     for name, parser in commands_of(make_parser()).items():

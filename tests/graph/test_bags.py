@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from bag_tools import Item, read_items, shuffled, write_items
 from graph_support import Campaign, assert_same_results, skd_here
-from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
@@ -79,21 +78,6 @@ def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[...,
 
 
 # --- other readers
-
-
-def test_mcap_reads_them(campaign: Campaign) -> None:
-    for file in files_of(campaign):
-        with file.open("rb") as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            summary = reader.get_summary()
-            assert summary is not None
-            assert summary.statistics is not None
-            assert {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()} == TOPICS
-            assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
-            messages = list(reader.iter_messages())
-            assert len(messages) == summary.statistics.message_count
-            times = [message.log_time for _, _, message in messages]
-            assert times == sorted(times)
 
 
 def test_rosbags_reads_them_by_their_own_definitions(campaign: Campaign) -> None:
@@ -171,17 +155,6 @@ def test_merged_shuffled_compressed_and_mixed(
     merged = tmp_path / "merged.mcap"
     write_items(merged, shuffled([*items, *latched, *latched, *other]), compression=compression)
     replays_the_same(merged)
-
-
-def test_one_recording_split_over_files(replays_the_same: Check, campaign: Campaign, tmp_path: Path) -> None:
-    """As `ros2 bag record` splits it: an episode's states in one file, what it was in another."""
-    items = shuffled(read_items(files_of(campaign)))
-    bag = tmp_path / "bag"
-    bag.mkdir()
-    for number in range(3):
-        write_items(bag / f"bag_{number}.mcap", items[number::3])
-    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
-    replays_the_same(bag)
 
 
 def test_two_campaigns_and_the_choice_between_them(

@@ -162,17 +162,8 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
     folder = tmp_path_factory.mktemp("misbehaviour")
     programs = {
         controller: Skd(
-            *(
-                "assess",
-                "--graph",
-                "--record",
-                "--adversary-model",
-                "generic",
-                "--margin-limit",
-                0,
-                "--behaviour",
-                "none",
-            ),
+            *("assess", "--graph", "--record", "--adversary-model", "generic"),
+            *("--margin-limit", 0, "--behaviour", "none"),
             *("--controller", f"misbehaving:{controller}", "-p", f"startup_timeout:={PATIENCE}"),
             *("-p", f"command_timeout:={2 if controller == 'Silent' else PATIENCE}"),
             *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessment.from_options import with_requested_period
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment import installation, is_sourced
 from skd_sim.ros_environment.installation import MessagePackage, ensure_messages
-from skd_sim.scenario.scenario import load_scenario
 
 pytestmark = pytest.mark.skipif(is_sourced(), reason="a ROS 2 is sourced, so nothing is built")
 
@@ -72,11 +70,3 @@ def test_what_is_wrong_with_a_folder_is_one_line(tmp_path: Path, built: list[str
             ensure_messages([str(tmp_path / folder)], name)
         assert "\n" not in str(caught.value)
     assert built == []
-
-
-def test_a_control_period_that_is_asked_for_divides_the_time_step() -> None:
-    crossing = load_scenario("crossing")
-    assert with_requested_period(crossing, None) is crossing
-    assert with_requested_period(crossing, 0.1).control_periods == 3
-    with pytest.raises(UsageError, match=r"control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"):
-        with_requested_period(crossing, 0.07)
