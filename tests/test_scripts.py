@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from common import PATIENCE
 
 ROOT = Path(__file__).resolve().parent.parent
 pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
@@ -35,7 +36,7 @@ def run(copy: Path, script: str, *arguments: str, **environment: str) -> subproc
         env=clean | environment,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE,
     )
 
 
@@ -130,7 +131,7 @@ def test_a_class_in_the_working_folder_is_found_and_hides_no_module_of_skds(tmp_
         env=without_choice() | {"SKD_ENV": str(Path(sys.executable).parent)},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE,
         check=False,
     )
     assert "command must return a finite number (m/s²), got 'hash seed 0'" in done.stderr, done.stderr

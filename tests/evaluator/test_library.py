@@ -8,7 +8,7 @@ import sys
 import warnings
 
 import pytest
-from common import run_skd
+from common import PATIENCE, run_skd
 from skd_evaluator import AssessmentError, assess, load_result
 from skd_evaluator.metrics.aborted import not_credible
 from skd_sim import UsageError
@@ -110,7 +110,7 @@ def test_two_threads_assess_a_car_of_a_users_own(tmp_path):
     (tmp_path / "honest.py").write_text(HONEST)
     (tmp_path / "threads.py").write_text(THREADS)
     done = subprocess.run(
-        [sys.executable, "threads.py"], cwd=tmp_path, capture_output=True, text=True, timeout=180, check=True
+        [sys.executable, "threads.py"], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=True
     )
     first, second = map(float, done.stdout.splitlines())
     assert first == second > 0.0

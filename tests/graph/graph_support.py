@@ -62,7 +62,7 @@ def of_node(token: str, name: str) -> int:
     return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
 
 
-def assert_all_gone(token: str, timeout: float = 10.0) -> None:
+def assert_all_gone(token: str, timeout: float = 60.0) -> None:
     """No process with the token is left; what is left is killed, and named."""
     end = time.monotonic() + timeout
     while (left := pids_with(token)) and time.monotonic() < end:

@@ -41,15 +41,18 @@ class Names:
         return None
 
 
+def made(folder: Path, patience: float) -> BagRecorder:
+    node = cast(Node, Names())
+    return BagRecorder(node, folder, DRIVE, WALK, own_world=False, patience=patience, say=lambda _line: None)
+
+
 @pytest.mark.parametrize("until", [PERIODS, 2])
 def test_the_command_that_ended_the_episode_is_waited_for(tmp_path: Path, until: int) -> None:
     """The simulator had it, or the episode would not be over: after a tick with all its periods, or with a contact."""
     crossing = load_scenario("crossing")
     scenario = dataclasses.replace(crossing, control_period=crossing.time_step / PERIODS)
     step = scenario.time_step
-    recorder = BagRecorder(
-        cast(Node, Names()), tmp_path, DRIVE, WALK, own_world=False, patience=60.0, say=lambda _line: None
-    )
+    recorder = made(tmp_path, patience=60.0)
     recorder.begin(EpisodeKey("test", 0, START), tick_stamp(START, scenario.ticks, step))
     moments = [(tick, period) for tick in range(TICKS) for period in range(PERIODS)]
     moments = moments[: len(moments) - PERIODS + until]
@@ -76,15 +79,7 @@ def test_the_command_that_ended_the_episode_is_waited_for(tmp_path: Path, until:
 
 def test_an_episode_that_is_run_again_has_one_bag(tmp_path: Path) -> None:
     """It had two of one name where the stack was started by hand, and nothing was written."""
-    recorder = BagRecorder(
-        cast(Node, Names()),
-        tmp_path,
-        DRIVE,
-        WALK,
-        own_world=False,
-        patience=0.0,
-        say=lambda _line: None,
-    )
+    recorder = made(tmp_path, patience=0.0)
     scenario = load_scenario("crossing")
     phi = Trajectory(np.zeros((4, 2)), scenario.time_step)
     episode = EpisodeSpec(scenario, Mode.REPLAY, 0, episode_id(Stage.NOMINAL, 0, 1), phi)

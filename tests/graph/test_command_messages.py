@@ -63,23 +63,18 @@ def test_what_a_type_means() -> None:
     ("kind", "field", "said"),
     [
         ("joy", "", f"must be one of {', '.join(NAMED_FORMATS)}, or a message type as in my_msgs/msg/Command"),
-        ("sensor_msgs/Joy", "", "must be one of"),
         ("twist", "linear.x", "command_field goes with a type of yours"),
         ("no_such_msgs/msg/Joy", "axes[0]", "no message package no_such_msgs here"),
         ("geometry_msgs/msg/Force", "x", "geometry_msgs has no such message; it has Accel, AccelStamped, "),
         ("geometry_msgs/msg/AccelStamped", "", "its numbers are accel.linear.x, accel.linear.y, accel.linear.z, "),
         ("geometry_msgs/msg/AccelStamped", "accel.linear.w",
          "there is no number accel.linear.w in geometry_msgs/msg/AccelStamped; its numbers are accel.linear.x, "),
-        ("geometry_msgs/msg/AccelStamped", "accel.linear", "there is no number accel.linear in "),
-        ("geometry_msgs/msg/AccelStamped", "accel.linear.x.y", "there is no number accel.linear.x.y in "),
         ("geometry_msgs/msg/AccelStamped", "accel.linear.x[0]", "there is no number accel.linear.x[0] in "),
         ("geometry_msgs/msg/AccelStamped", "header.frame_id", "there is no number header.frame_id in "),
-        ("geometry_msgs/msg/AccelStamped", "accel..x", "there is no number accel..x in "),
         ("sensor_msgs/msg/Joy", "axes", "its numbers are axes[0], buttons[0]"),
         ("sensor_msgs/msg/Imu", "orientation_covariance[9]", "there is no number orientation_covariance[9] in "),
         ("std_msgs/msg/Bool", "data", "there is no number data in std_msgs/msg/Bool; its numbers are none"),
         ("nav_msgs/msg/Path", "poses[2].pose.position.w", "poses[0].pose.position.x, poses[0].pose.position.y"),
-        ("std_msgs/msg/String", "", "its numbers are none"),
     ],
 )  # fmt: skip
 def test_a_wrong_type_or_field_is_one_line(kind: str, field: str, said: str) -> None:

@@ -133,7 +133,7 @@ def test_the_cause_is_found_and_what_mends_it_is_said(graph: Graph, name: str) -
         diagnosis = diagnose(Evidence(graph.watcher, COMMANDS, START, heard=heard, **given))
         return diagnosis.cause == name and said in diagnosis.text
 
-    wait_until(found, said, timeout=10.0)
+    wait_until(found, said)
 
 
 def test_a_managed_node_may_not_be_active(graph: Graph) -> None:

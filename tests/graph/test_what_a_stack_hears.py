@@ -88,7 +88,7 @@ class Ears:
             self._executor.spin_once(timeout_sec=0.05)
             return len(self.heard[topic]) >= count
 
-        wait_until(there, f"{count} messages on {topic}", timeout=60.0)
+        wait_until(there, f"{count} messages on {topic}")
         senders = [one.node_name for one in self.listener.get_publishers_info_by_topic(topic)]
         assert (len(self.heard[topic]), senders) == (count, ["speaker"])  # or somebody else is in this domain
         return self.heard[topic]

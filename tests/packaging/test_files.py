@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from common import PATIENCE
 from packaging_support import ROOT, check_command
 
 SCRIPTS = ("run-node", "assess-controller", "replay-logs")
@@ -55,7 +56,7 @@ def test_links_of_the_documents_lead_somewhere(document):
 def run_script(name: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"SKD_ENV": str(Path(sys.executable).parent)}
     command = [str(ROOT / "scripts" / name), *arguments]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=PATIENCE)
 
 
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

@@ -20,6 +20,7 @@ from packaging.requirements import Requirement
 from packaging_support import PYTHON_PACKAGES, ROOT
 
 SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
+SMALL += ["--margin-limit", "8", "--behaviour", "none"]
 
 
 def run(*command: object, folder: Path) -> str:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from common import PATIENCE
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_evaluator.assessment.options import GraphOptions
@@ -50,7 +51,7 @@ def python(program: str, **changes: str | None) -> subprocess.CompletedProcess[s
     environment = {**foreign_variables(os.environ), **changes}
     command = [sys.executable, "-c", program]
     chosen = {name: value for name, value in environment.items() if value is not None}
-    return subprocess.run(command, env=chosen, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, env=chosen, capture_output=True, text=True, timeout=PATIENCE)
 
 
 def test_a_process_begins_anew_only_where_it_has_to():

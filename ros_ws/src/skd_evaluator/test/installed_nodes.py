@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
-TIMEOUT = 60.0  # s; discovery takes a few, and the machine may be busy
+TIMEOUT = 300.0  # s; discovery takes a few, and the machine may be busy
 EVERY_NODE = {"/parameter_events", "/rosout"}
 Start = Callable[..., "subprocess.Popen[str]"]
 
