@@ -61,7 +61,7 @@ def test_no_page_names_what_it_would_fetch_elsewhere(site: Path, pages: dict[str
 
 def test_formulas_are_drawn_by_the_build(pages: dict[str, str]):
     for name in ("metrics", "how_it_works"):
-        source = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+        source = re.sub(r"`[^`\n]*`", "", (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8"))  # without code
         wanted = len(re.findall(r"\$\$.*?\$\$|\$[^$\n]+\$", source, re.DOTALL))
         assert pages[f"{name}.html"].count("<math") == wanted > 10, name
     assert not any("arithmatex" in page for page in pages.values())
@@ -133,4 +133,4 @@ def test_search_works_where_the_site_is_opened_as_a_file(site: Path, browser: An
     page.locator(".md-search__input").press_sequentially("Eiter Mannila")
     page.locator(".md-search-result__item").first.wait_for(state="visible")
     found = page.locator(".md-search-result__item h1").all_inner_texts()
-    assert "Deviation and Fréchet distance" in found
+    assert "What the numbers mean" in found
