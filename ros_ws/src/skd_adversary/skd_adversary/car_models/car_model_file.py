@@ -22,28 +22,21 @@ from skd_sim.scenario.scenario import Scenario
 from skd_adversary.car_models.forest import CarForest
 
 PARAMETERS = {
-    "trigger": "m",  # s where the measure is time
-    "trigger_spread": "m",
-    "path_half_width": "m",
-    "deceleration": "m/s²",
-    "deceleration_noise": "relative",
-    "reaction_delay": "s",
-    "cruise_speed": "m/s",
-    "cruise_gain": "1/s",
-    "cruise_acceleration": "m/s²",
-    "speed_noise": "relative",
+    "trigger": ("m", 60.0),  # s where the measure is time
+    "trigger_spread": ("m", 60.0),
+    "path_half_width": ("m", 20.0),
+    "deceleration": ("m/s²", 30.0),
+    "deceleration_noise": ("relative", 1.0),
+    "reaction_delay": ("s", 10.0),
+    "cruise_speed": ("m/s", math.inf),
+    "cruise_gain": ("1/s", math.inf),
+    "cruise_acceleration": ("m/s²", math.inf),
+    "speed_noise": ("relative", math.inf),
 }
-"""Every parameter and its unit; half-widths of uniform noise are relative to the quantity that they perturb."""
+"""Every parameter: its unit, and the most that it can be where logs determine it; one in mm would be beyond that.
 
-LARGEST = {
-    "trigger": 60.0,
-    "trigger_spread": 60.0,
-    "path_half_width": 20.0,
-    "deceleration": 30.0,
-    "deceleration_noise": 1.0,
-    "reaction_delay": 10.0,
-}
-"""The most that each can be where logs determine it, in its unit: one in another unit, such as mm, is beyond it."""
+Half-widths of uniform noise are relative to the quantity that they perturb.
+"""
 
 LONGEST_DELAY = 3
 """Ticks between what the car sees and what it does, at most, that are looked for in logs and planned with."""
@@ -191,7 +184,7 @@ class FittedCar(Frozen):
 
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""
-        return "s" if self.measure == "time" and name in ("trigger", "trigger_spread") else PARAMETERS[name]
+        return "s" if self.measure == "time" and name in ("trigger", "trigger_spread") else PARAMETERS[name][0]
 
 
 FILE_NAME = "car_model.yaml"
@@ -267,14 +260,14 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
 
 def _check(car: FittedCar) -> None:
     """Refuse a law that lacks a parameter, or has one that is beyond what it can be."""
-    for name in PARAMETERS:
+    for name, (_, largest) in PARAMETERS.items():
         needed = name not in OPTIONAL or (name == "path_half_width" and car.gate != "none")
         if name not in car.parameters:
             if needed:
                 raise UsageError(f"missing key parameters.{name}")
             continue
         one = car.parameters[name]
-        most = math.inf if one.reason else LARGEST.get(name, math.inf)
+        most = math.inf if one.reason else largest
         numbers = {"prior.first": one.prior.first, "prior.second": one.prior.second, "estimate": one.estimate or 0.0}
         for key, number in numbers.items():
             if not 0.0 <= number <= most:

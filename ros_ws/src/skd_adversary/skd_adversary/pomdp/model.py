@@ -144,12 +144,6 @@ class _Caller:
             raise self.fail(name, "gives two results from one seed: draw from the generator that is handed in alone")
         return results[0]
 
-    def number(self, name: str, *arguments: Any) -> float:
-        value = self.call(name, *arguments)
-        if not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise self.fail(name, f"returns {value!r}, and has to return a finite number")
-        return float(value)
-
     def step(self, state: FloatArray, action: int) -> tuple[FloatArray, bool]:
         after, returned = self.draw("step", self.model.state_dim, state, action)
         if not (isinstance(returned, tuple) and len(returned) == 2):
@@ -158,15 +152,14 @@ class _Caller:
             raise self.fail("step", f"returns the reward {returned[0]!r} in state {state.tolist()}")
         return after, bool(returned[1])
 
-    def likelihood(self, after: FloatArray, action: int, seen: FloatArray, *, least: float = 0.0) -> float:
-        value = self.number("likelihood", after.copy(), action, seen)
-        if value < least:
-            raise self.fail("likelihood", f"is {value:g} in state {after.tolist()}, seen {seen.tolist()}")
-        return value
-
-    def drawn_likelihood(self, after: FloatArray, action: int, seen: FloatArray) -> float:
-        """Return the likelihood in the state that the observation was drawn in."""
-        return self.likelihood(after, action, seen, least=math.ulp(0.0))
+    def number(self, name: str, *arguments: Any, drawn: bool = False) -> float:
+        """Return a likelihood, or the value of a leaf; of what was drawn in a state the former is positive there."""
+        value = self.call(name, *(one.copy() if isinstance(one, np.ndarray) else one for one in arguments))
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise self.fail(name, f"returns {value!r}, and has to return a finite number")
+        if name == "likelihood" and (value < 0.0 or (drawn and value == 0.0)):
+            raise self.fail(name, f"is {value:g} in state {arguments[0].tolist()}, seen {arguments[2].tolist()}")
+        return float(value)
 
     def legal_actions(self, state: FloatArray) -> list[int]:
         """Return the legal actions of a state, after a look at the default policy's."""
@@ -215,7 +208,7 @@ def check_model(model: Pomdp, *, episodes: int = 20, moves: int = 20, seed: int 
             if ended:
                 break
             seen, _nothing = caller.draw("observe", model.observation_dim, after, action)
-            caller.drawn_likelihood(after, action, seen)
+            caller.number("likelihood", after, action, seen, drawn=True)
             another, _nothing = caller.draw("reinvigorate", model.state_dim, after, seen)
             reached.setdefault(action, []).append((after, another))
             state = after
@@ -238,7 +231,8 @@ def _compare(caller: _Caller, action: int, first: FloatArray, second: FloatArray
         for i in range(_DRAWS):
             seen = np.empty(caller.model.observation_dim)
             caller.model.observe(caller.model.parameters, own.copy(), action, seen, caller.rng)
-            p, q = caller.drawn_likelihood(own, action, seen), caller.likelihood(other, action, seen)
+            p = caller.number("likelihood", own, action, seen, drawn=True)
+            q = caller.number("likelihood", other, action, seen)
             shares[k, i] = p / (p + q)
     in_first, in_second = shares
     for one, two, hint in (

@@ -114,15 +114,10 @@ class Ending(Frozen):
         entered = np.abs(across) <= self.path_edge
         entered[1:] |= np.sign(across[1:]) != np.sign(across[:-1])  # right through it within one step
         if not entered.any():
-            least, edge = np.abs(across).min(), self.path_edge
-            if self._straight:
-                missed = f"(|x| ≤ {edge:g} m); its least |x| is {least:.2f} m: a safe trajectory has to cross x = 0"
-            else:
-                missed = (
-                    f"({edge:g} m to each side of the road's centre line); it comes within {least:.2f} m of the line: "
-                    "a safe trajectory has to cross it"
-                )
-            raise UsageError(f"safe trajectory {trajectory.name!r} never enters the car's path {missed}")
+            edge, least = f"{self.path_edge:g} m to each side of the road's centre line", np.abs(across).min()
+            raise UsageError(
+                f"safe trajectory {trajectory.name!r} never enters the car's path ({edge}); least {least:.2f} m"
+            )
         index = int(np.argmax(entered))
         if index == 0:
             return 0.0

@@ -320,19 +320,16 @@ def check_scenario(scenario: Scenario, where: str) -> None:
 
 def _check_dynamics(scenario: Scenario, where: str) -> None:
     """Refuse a road that the car's dynamics know nothing of."""
-    name, road = scenario.car.dynamics, scenario.road
-    if not DYNAMICS[name].tyres and road.friction != 1.0:
-        others = " or ".join(one for one, kind in DYNAMICS.items() if kind.tyres)
-        raise UsageError(
-            f"{where}: road.friction {road.friction:g} has no effect on car.dynamics {name}; "
-            f"set car.dynamics to {others}, or leave road.friction out"
-        )
-    if not DYNAMICS[name].steers and not road.straight:
-        others = " or ".join(one for one, kind in DYNAMICS.items() if kind.steers)
-        raise UsageError(
-            f"{where}: car.dynamics {name} does not steer, so it cannot follow the curves of road.parts; "
-            f"set car.dynamics to {others}, or leave road.parts out"
-        )
+    name, road, kind = scenario.car.dynamics, scenario.road, DYNAMICS[scenario.car.dynamics]
+    for key, wrong, able, why in (
+        ("friction", road.friction != 1.0 and not kind.tyres, "tyres", f"{road.friction:g} has no effect on"),
+        ("parts", not road.straight and not kind.steers, "steers", "has curves, which cannot be followed by"),
+    ):
+        if wrong:
+            others = " or ".join(one for one, other in DYNAMICS.items() if getattr(other, able))
+            raise UsageError(
+                f"{where}: road.{key} {why} car.dynamics {name}; set car.dynamics to {others}, or leave it out"
+            )
 
 
 def _check_obstacles(scenario: Scenario, where: str) -> None:
@@ -362,12 +359,6 @@ def _filled(obstacle: Obstacle) -> FloatArray:
     )
     edge = first + along * (second - first)
     return np.asarray((edge[:, None] + across[None] * (third - second)).reshape(-1, 2))
-
-
-def _standing(scenario: Scenario) -> list[str]:
-    """Return what each row of `Scenario.rectangles` is called."""
-    others = [f"others[{index}]" for index, other in enumerate(scenario.others) if other.stands]
-    return [f"obstacles[{index}]" for index in range(len(scenario.obstacles))] + others
 
 
 def _check_destination(scenario: Scenario, where: str) -> None:
@@ -442,7 +433,9 @@ def check_trajectory(scenario: Scenario, trajectory: Trajectory) -> None:
         UsageError: it does; says through which, and when.
     """
     points, core = trajectory.positions, scenario.adversary.core
-    for name, row in zip(_standing(scenario), scenario.rectangles, strict=True):
+    names = [f"obstacles[{index}]" for index in range(len(scenario.obstacles))]
+    names += [f"others[{index}]" for index, other in enumerate(scenario.others) if other.stands]
+    for name, row in zip(names, scenario.rectangles, strict=True):
         for tick in range(len(points)):
             before = points[max(0, tick - 1)]
             if runs_into(row[None], before[0], before[1], points[tick, 0], points[tick, 1], core):
