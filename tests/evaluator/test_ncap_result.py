@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.evaluation import requested_tests, scenario_of
-from skd_evaluator.extensions.ncap.layout import details, headline, layout_of, margin_text, reasons
+from skd_evaluator.extensions.ncap.layout import layout_of, margin_text
 from skd_evaluator.extensions.ncap.matrices import Criterion, colour_of, known_scenarios, matrix_of, scenarios_of
 from skd_evaluator.extensions.ncap.result import RESULT, Grid, Ncap, NcapCell, as_data, read_ncap, with_regulator
 from skd_sim.errors import UsageError
@@ -92,25 +92,6 @@ def test_a_margin_that_is_a_bound_says_so(tmp_path):
     assert [line.partition(":")[0] for line in verified.remarks[:2]] == [
         "1 of 3 margins are lower bounds", "1 of 3 margins are upper bounds",
     ]  # fmt: skip
-
-
-def test_what_is_said_of_a_grid():
-    safe = replace(GREEN, margin=5.0, margins=(5.0, 5.0), beyond=2)
-    (line,) = reasons(of(safe).grids[0])
-    assert line == "30 km/h, 50 %: no hit was found in any trial: the margin stands at η_max, and was not measured"
-    assert "no hit was found in 2 of 2 trials, which count as η_max" in details(safe)
-    (line,) = reasons(of(replace(safe, margin=3.0, margins=(1.0, 5.0), beyond=1)).grids[0])
-    assert "in some trials no hit was found" in line
-    assert headline(of(safe).grids[0]) == "1 of 1 test is green, none with a margin below 0.5 m."
-    refused = [replace(CELL, speed=speed, colour="", why="it is too fast") for speed in (70.0, 80.0)]
-    unsure = replace(GREEN, margin=2.0, converged=False)
-    assert reasons(of(unsure, *refused).grids[0]) == [
-        "30 km/h, 50 %: the search for the margin has not converged, which is an upper bound: try a greater "
-        "--margin-limit",
-        "2 cells, from 70 km/h, 50 %: it is too fast",
-    ]
-    assert headline(of(*refused).grids[0]) == "No test has a colour."
-    assert headline(of(replace(CELL, margin=None, margins=())).grids[0]) == "0 of 1 test is green."
 
 
 def test_columns_are_places_or_the_speeds_of_targets():

@@ -145,21 +145,6 @@ def test_a_late_answer_to_the_episode_before_is_no_wrong_stamp(bench: Bench) -> 
     assert end.reason.startswith("no answer: the car controller")
 
 
-def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
-    bench.adversaries.alive = []
-    bench.lockstep.drive(stamp(0) + 1, 1.0)
-    bench.lockstep.drive(stamp(4), 1.0)
-    end = bench.lockstep.watch(bench.now + 11.0)
-    assert isinstance(end, End)
-    assert end.reason == (
-        "wrong stamp: the car controller (ego/acceleration_command) stayed silent for 10 s at tick 0: its commands "
-        "carry other stamps (2 came; newest 6.200 s, awaited 5.000 s); they are 1.2 s ahead: copy the odometry's "
-        "stamp, or, of a node with a timer, use_sim_time:=true and -p quiet_time:=0.1 or --pacing real_time, which "
-        "wait for none and not started: the adversary (adversary/velocity_command) stayed silent for 10 s at tick 0: "
-        "nobody publishes"
-    )
-
-
 def test_tick_0_is_repeated_and_no_other(bench: Bench) -> None:
     assert bench.lockstep.watch(bench.now + 0.1) is None
     assert bench.lockstep.watch(bench.now + 0.21) == Repeat()

@@ -28,12 +28,6 @@ def test_an_acceleration_comes_back(acceleration: float) -> None:
     assert PEDALS.acceleration(pedal) == pytest.approx(acceleration, abs=1e-4)
 
 
-@given(st.floats(-1.0, 1.0))
-def test_a_pedal_comes_back(pedal: float) -> None:
-    again = PEDALS.pedal(PEDALS.acceleration(pedal))
-    assert again == pytest.approx(pedal, abs=1e-5) or pedal == 0.0
-
-
 def test_more_brake_that_does_less_is_level() -> None:
     less = Pedals((MeasuredPedal(0.5, -8.0), MeasuredPedal(1.0, -7.0)), (MeasuredPedal(1.0, 2.0),), -0.3)
     assert less.limits.least == -8.0

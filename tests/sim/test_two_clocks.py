@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.simulators.simulator import WorldSimulator
-from skd_sim.world.contact import rectangle_distance, to_car_frame
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
+from skd_sim.world.state import AdversaryState
 from skd_sim.world.timing import period_of, period_stamp, tick_stamp
 from skd_sim.world.world import World, make_world
 
@@ -22,10 +19,6 @@ STEP = CROSSING.time_step
 
 def clocked(scenario: Scenario, periods: int) -> Scenario:
     return replace(scenario, control_period=scenario.time_step / periods)
-
-
-def quiet(scenario: Scenario) -> Scenario:
-    return replace(scenario, car=replace(scenario.car, speed_noise=0.0, acceleration_noise=0.0))
 
 
 def world_of(scenario: Scenario, seed: int = 3) -> World:
@@ -72,47 +65,6 @@ def test_adversaries_move_uniformly_between_ticks(periods: int, velocity: tuple[
         assert world.adversary == pytest.approx(here, abs=1e-12)
         assert world.time == pytest.approx(share)
     assert world.adversary == AdversaryState(start.x + STEP * velocity[0], start.y + STEP * velocity[1], *velocity)
-
-
-@pytest.mark.parametrize("periods", [1, 2, 3, 6])
-@pytest.mark.parametrize("episode_id", range(8))
-def test_contacts_are_where_a_fine_look_finds_them(periods: int, episode_id: int) -> None:
-    """A car that brakes more and more; where both are is known in closed form within each period."""
-    rng = np.random.default_rng(episode_id)
-    base = quiet(CROSSING)
-    scenario = clocked(replace(base, car=replace(base.car, start_gap=float(rng.uniform(7.0, 10.0)))), periods)
-    velocity = (float(rng.uniform(2.0, 2.5)), 0.0)
-    episode = EpisodeSpec(scenario, Mode.SAFE, 7, episode_id)
-    simulator = WorldSimulator()
-    frame = simulator.reset(episode)
-    states: list[tuple[CarState, float]] = []  # at the beginning of each period, with the command in it
-    while frame.outcome == Outcome.RUNNING:
-        command = -0.05 * len(states) / periods
-        states.append((frame.car, command))
-        frame = simulator.step(command, velocity)
-    assert frame.outcome == Outcome.COLLISION
-    assert frame.period == 0
-    time, speed = frame.impact(STEP)
-    duration = STEP / periods
-    footprint, adversary = scenario.car, episode.start
-
-    def gap(moment: float) -> float:
-        index = min(len(states) - 1, int(moment / duration))
-        car, command = states[index]
-        since = moment - index * duration
-        # Within a period of the basic car it is taken to move uniformly.
-        way = since * (car.speed + 0.5 * command * duration)
-        ahead, left = to_car_frame(adversary[0] + moment * velocity[0], adversary[1], car.x, car.y + way, car.heading)
-        return rectangle_distance(ahead, left, footprint.front, footprint.rear, footprint.half_width)
-
-    radius = scenario.adversary.radius
-    assert gap(time) == pytest.approx(radius, abs=1e-9)
-    assert all(gap(moment) > radius for moment in np.linspace(0.0, time - 1e-6, 500))
-    car, command = states[int(time / duration)]
-    assert speed == pytest.approx(car.speed + command * (time % duration), abs=1e-9)
-    assert (frame.tick - 1) * STEP <= time <= frame.tick * STEP
-    end = adversary[0] + frame.tick * STEP * velocity[0]
-    assert frame.adversary.x == pytest.approx(end, abs=1e-9)  # the tick runs to its end
 
 
 # --- scans and stamps
