@@ -15,9 +15,9 @@ from skd_adversary.car_models.car_model_file import (
     read_car_model,
     write_car_model,
 )
+from skd_adversary.car_models.fit import learn_car
 from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described, grow, leaf_of
 from skd_adversary.car_models.observations import Observations
-from skd_adversary.car_models.prediction import learn_car
 from skd_adversary.crossing.cars import (
     CHANGE,
     CHANGE_BEFORE,

@@ -10,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from rich.table import Table
 from skd_adversary.car_models.car_model_file import FittedCar
-from skd_adversary.car_models.prediction import NEAR
+from skd_adversary.car_models.fit import NEAR
 from skd_adversary.car_models.speed_change import LARGEST_NOISE
 from skd_sim.arrays import FloatArray
 

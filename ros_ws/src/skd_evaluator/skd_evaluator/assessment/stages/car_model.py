@@ -30,8 +30,8 @@ from typing import Any, Final
 
 import numpy as np
 from skd_adversary.car_models.car_model_file import FittedCar, car_model_for_scenario, car_model_text, write_car_model
+from skd_adversary.car_models.fit import learn_car
 from skd_adversary.car_models.observations import RecordedEpisode, observe
-from skd_adversary.car_models.prediction import learn_car
 from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective

@@ -52,8 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _fit_car(arguments: argparse.Namespace) -> int:
     from skd_adversary.car_models.car_model_file import FILE_NAME, car_model_data, write_car_model
+    from skd_adversary.car_models.fit import learn_car
     from skd_adversary.car_models.observations import observe
-    from skd_adversary.car_models.prediction import learn_car
 
     from skd_evaluator.bags.car_logs import read_recordings
     from skd_evaluator.bags.checks import Damage
