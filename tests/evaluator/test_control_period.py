@@ -19,7 +19,7 @@ from skd_sim.controllers.protocol import SensingController
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.ros.lockstep import ControlStep, End, Lockstep, Senders, Source, Start, WaitLimits, frame_stamp
+from skd_sim.ros.lockstep import CommandSource, ControlStep, End, Lockstep, Senders, Start, WaitLimits, frame_stamp
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
@@ -89,7 +89,7 @@ def frames_of(episode: EpisodeSpec, *, real_time: bool) -> Iterator[Frame]:
     controller = make_controller(episode.controller, episode.multiplier)
     controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
     laser = make_laser(episode)
-    sources = (Source(name, name, Senders()) for name in ("car", "adversary"))
+    sources = (CommandSource(name, name, Senders()) for name in ("car", "adversary"))
     lockstep = Lockstep(*sources, WaitLimits(1.0, 1.0), real_time=real_time)
     frame = simulator.reset(episode)
     assert lockstep.begin(start, episode.scenario, frame, 0.0) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skd_sim.ros.lockstep import Action, ControlStep, End, Lockstep, Senders, Source, WaitLimits
+from skd_sim.ros.lockstep import Action, CommandSource, ControlStep, End, Lockstep, Senders, WaitLimits
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Outcome
@@ -40,8 +40,8 @@ class Bench:
 
     def __init__(self, *, real_time: bool = False, quiet_time: float = 0.0) -> None:
         self.cars, self.adversaries = Few(), Few()
-        self.car = Source("the car controller", "ego/acceleration_command", self.cars)
-        self.adversary = Source("the adversary", "adversary/velocity_command", self.adversaries)
+        self.car = CommandSource("the car controller", "ego/acceleration_command", self.cars)
+        self.adversary = CommandSource("the adversary", "adversary/velocity_command", self.adversaries)
         self.lockstep = Lockstep(self.car, self.adversary, LIMITS, real_time=real_time, quiet_time=quiet_time)
         self.now = 100.0
 

@@ -38,7 +38,7 @@ class Senders:
         return ""
 
 
-class Source:
+class CommandSource:
     """One kind of command: which node sends it, what was answered to which tick, and what was of no use.
 
     Attributes:
@@ -206,7 +206,13 @@ class Lockstep:
     """
 
     def __init__(
-        self, car: Source, adversary: Source, limits: WaitLimits, *, real_time: bool = False, quiet_time: float = 0.0
+        self,
+        car: CommandSource,
+        adversary: CommandSource,
+        limits: WaitLimits,
+        *,
+        real_time: bool = False,
+        quiet_time: float = 0.0,
     ) -> None:
         """Wait for an episode.
 
@@ -354,10 +360,10 @@ class Lockstep:
         self._spoken |= first or stamp is None or stamp >= self.stamp
         return None if self._waits_for(self._car) or self._waits_for(self._adversary) else self._take(now)
 
-    def _not_finite(self, source: Source, answer: tuple[float, ...]) -> End | None:
+    def _not_finite(self, source: CommandSource, answer: tuple[float, ...]) -> End | None:
         return self.fail(abort_reason(AbortKind.NOT_FINITE, f"{source.who} commanded {', '.join(map(str, answer))}"))
 
-    def _answer(self, source: Source, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
+    def _answer(self, source: CommandSource, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
         if self._frame is None:
             return None
         if self._real_time and stamp == 0:
@@ -388,7 +394,7 @@ class Lockstep:
             return stamp >= (self._start if self._began else self._start - LEAD)
         return stamp == self.stamp
 
-    def _waits_for(self, source: Source) -> bool:
+    def _waits_for(self, source: CommandSource) -> bool:
         """Whether the running control period still needs a command of some source."""
         if self._quiet_time and source is self._car:
             return not self._spoken

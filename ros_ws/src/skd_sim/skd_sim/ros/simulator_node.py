@@ -27,12 +27,12 @@ from skd_sim.ros.discovery import kind_name, second_publisher
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
 from skd_sim.ros.lockstep import (
     Action,
+    CommandSource,
     ControlStep,
     End,
     Lockstep,
     Repeat,
     Senders,
-    Source,
     Start,
     WaitLimits,
     frame_stamp,
@@ -154,8 +154,8 @@ class GraphSimulator:
         if real_time and values["quiet_time"]:
             raise UsageError("quiet_time goes with --pacing lockstep: real time waits for nobody")
         return Lockstep(
-            Source("the car controller", topic, drives),
-            Source("the adversary", VELOCITY_COMMAND, walks),
+            CommandSource("the car controller", topic, drives),
+            CommandSource("the adversary", VELOCITY_COMMAND, walks),
             WaitLimits(values["command_timeout"], values["startup_timeout"]),
             real_time=real_time,
             quiet_time=values["quiet_time"],
