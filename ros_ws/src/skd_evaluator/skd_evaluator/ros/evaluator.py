@@ -454,7 +454,9 @@ class Evaluator(GraphNode):
             and (not self._anew or living_publishers(self, self._drive_topic))
         ):
             self._spin(0.01)
-            self._check_processes()
+            if time.monotonic() - self._looked > _WAKE:
+                self._looked = time.monotonic()
+                self._check_processes()
 
     def _announce(self, episode: EpisodeSpec, specification: EpisodeMsg) -> None:
         self._published = time.monotonic()
