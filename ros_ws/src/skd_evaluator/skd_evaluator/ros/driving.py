@@ -94,7 +94,7 @@ class DrivingNode(AdversaryNode):
 
 
 class Watched:
-    """What a graph needs so that somebody can watch and take part."""
+    """What a graph needs so that a user can watch and take part."""
 
     def __init__(self, commands: CommandOptions, hand_for: HandFor, show: Show, look: Callable[[], Wish]) -> None:
         """Prepare.
@@ -103,7 +103,7 @@ class Watched:
             commands: what the car under test publishes.
             hand_for: gives who moves the adversary.
             show: called with each situation, in a thread of its own.
-            look: says what is wanted.
+            look: says what the user wishes.
         """
         self._commands, self._hand_for, self._show, self._look = commands, hand_for, show, look
         self._evaluator: Evaluator | None = None
@@ -127,10 +127,10 @@ class Watched:
             thread.join(_FAREWELL)
 
     def check(self) -> None:
-        """Do what is wanted; to be called while the evaluator waits.
+        """Do what the user wishes; to be called while the evaluator waits.
 
         Raises:
-            LeftError: somebody has seen enough.
+            LeftError: the user has seen enough.
         """
         wish = self._look()
         if wish is Wish.QUIT:

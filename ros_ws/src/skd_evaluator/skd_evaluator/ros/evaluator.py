@@ -1,7 +1,7 @@
 """The evaluator in the graph: hands out episodes, collects what happens, records it, and publishes the assessment.
 
 Simulator and adversary may be plain objects in its process, which hear each other by calls (`Composed`). Topics then
-carry the states to the car and its commands back, and whatever somebody else listens to. While the adversary plans, the
+carry the states to the car and its commands back, and whatever other nodes listen to. While the adversary plans, the
 car decides.
 """
 
@@ -92,7 +92,7 @@ def _ends(ends: Sequence[float | None], text: str) -> list[float]:
 def assessment_to_message(assessment: Assessment, campaign: str, stamp: int) -> AssessmentMsg:
     """Return the message of an assessment published at simulation time `stamp` (ns).
 
-    A field has the figure of its name. Figures that are not credible are not defined: whoever reads a message sees no
+    A field has the figure of its name. Figures that are not credible are not defined: a reader of the message sees no
     warning beside it.
     """
     settings, unsaid = keys_of(Of.SETTING), not assessment.credible

@@ -154,7 +154,7 @@ class EvaluatorProcess(Evaluator):
     def _learned(self) -> Plan:
         """Return the plan whose adversary knows of the car what it is to know."""
         say = self.get_logger().info
-        if self._plan.car.is_external:  # nobody says which car it is: its model is not kept
+        if self._plan.car.is_external:  # it is not known which car it is: its model is not kept
             return learned(self._plan, self, self._say_progress, say=say)
         how = {"launched": True, **{one.name: str(self._settings[one.name]) for one in options_of(EvaluatorOptions)}}
         return learned(self._plan, self, self._say_progress, say=say, graph=how)

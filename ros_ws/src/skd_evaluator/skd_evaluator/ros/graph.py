@@ -116,7 +116,7 @@ _reserved: list[socket.socket] = []
 
 
 def choose_domain() -> int:
-    """Return $ROS_DOMAIN_ID where it is set, else a domain that nobody on this machine uses.
+    """Return $ROS_DOMAIN_ID where it is set, else a domain that is not in use on this machine.
 
     Raises:
         UsageError: the variable is not a domain.
@@ -130,7 +130,7 @@ def choose_domain() -> int:
 
 
 def free_domain() -> int:
-    """Return a domain in which a graph of this process has ended, else one that nobody on this machine uses.
+    """Return a domain in which a graph of this process has ended, else one that is not in use on this machine.
 
     Raises:
         UsageError: there is none.

@@ -72,8 +72,8 @@ def _value(one: Option, text: str) -> Any:
             return {**dict.fromkeys(_TRUE, True), **dict.fromkeys(_FALSE, False)}[text.strip().lower()]
         return kind(text)
     except (KeyError, ValueError):
-        wanted = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
-        raise ValueError(f"launch argument {one.name} must be {wanted}, got {text!r}") from None
+        kinds = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
+        raise ValueError(f"launch argument {one.name} must be {kinds}, got {text!r}") from None
 
 
 def graph_description(task: str) -> LaunchDescription:

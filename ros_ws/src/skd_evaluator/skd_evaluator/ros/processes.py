@@ -78,7 +78,7 @@ class GraphSetting:
 
     @property
     def awaits_car(self) -> bool:
-        """Whether somebody else starts the car under test."""
+        """Whether the user starts the car under test."""
         return self.car.is_external and not self.options.controller_command
 
 

@@ -1,7 +1,7 @@
 """What was heard during an episode, kept as it came, and the bag that it is written to.
 
 A bag holds all that figures follow from, and what RViz and Foxglove show: transforms and the car's looks as they were
-heard, of whoever sent them, and markers and figures, which are made when the bag is written.
+heard, of any sender, and markers and figures, which are made when the bag is written.
 """
 
 from __future__ import annotations

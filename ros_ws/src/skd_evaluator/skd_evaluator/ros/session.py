@@ -57,7 +57,7 @@ def graph_session(setting: GraphSetting, watched: Watched | None = None) -> Abst
 
 
 def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None:
-    """Return what runs episodes again: a new graph, or the one that there is where somebody else started the car.
+    """Return what runs episodes again: a new graph, or the one that there is where the user started the car.
 
     In real time no episode goes as before.
 
@@ -66,7 +66,7 @@ def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None
         setting: what that graph runs.
 
     Returns:
-        None where it is to be asked again after the graph has ended, or before, or no episode is run again.
+        None where it is to be called again after the graph has ended, or before, or no episode is run again.
     """
     repeats = not setting.car.is_own and setting.options.pacing == LOCKSTEP
     if not repeats or setting.awaits_car == (evaluator is None):

@@ -142,7 +142,7 @@ def episode_markers(episode: EpisodeSpec, samples: Samples, stamp: int, *, fixed
 
 
 class LiveFigures:
-    """Publishes the figures of each moment, where somebody has subscribed when the episode begins."""
+    """Publishes the figures of each moment, where a node has subscribed when the episode begins."""
 
     def __init__(self, node: Node) -> None:
         """Make the topics; `node` publishes on them."""

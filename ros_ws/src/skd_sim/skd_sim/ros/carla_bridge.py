@@ -177,7 +177,7 @@ class CarlaFrames:
                 return now
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
-        """Send both commands, and wait until they have arrived: topics have no common order, and nobody answers."""
+        """Send both commands, and wait until they have arrived: topics have no common order, and no answer comes."""
         throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
         self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
         self._velocity = velocity
@@ -199,10 +199,10 @@ class CarlaFrames:
     # --- CARLA
 
     def _await_actors(self, begun: float, limit: float) -> None:
-        """Wait until everybody of the scenario can be put somewhere.
+        """Wait until all road users of the scenario can be put somewhere.
 
         Raises:
-            SimulatorError: somebody could not until `limit` (s) after `begun` (monotonic time, s).
+            SimulatorError: one of them could not until `limit` (s) after `begun` (monotonic time, s).
         """
         for role in self._staged:
             while self._publisher(role).get_subscription_count() == 0:

@@ -78,10 +78,10 @@ def follow_speed(target: float, speed: float, duration: float, bounds: CommandLi
         bounds: least and greatest acceleration with which the car follows.
         limit: greatest change of speed that the target itself allows, m/s²; with 0 any is allowed.
     """
-    wanted = (target - speed) / duration
+    change = (target - speed) / duration
     if limit > 0.0:
-        wanted = CommandLimits(-limit, limit).clip(wanted)
-    return bounds.clip(wanted)
+        change = CommandLimits(-limit, limit).clip(change)
+    return bounds.clip(change)
 
 
 def command_format(options: CommandOptions) -> CommandFormat:
@@ -121,7 +121,7 @@ class CarCommands:
     """The commands of a car under test: their message type, and where the number is in it.
 
     Attributes:
-        format: format of the commands, as it was asked for.
+        format: format of the commands, as the options have it.
         kind: class of its messages.
         stamped: whether the messages say for which time they are, in header.stamp or stamp.
         read: takes one out of a message; raises `IndexError` where its array is too short.

@@ -82,17 +82,17 @@ class CarController(GraphNode):
         require_sensor(self._controller, name, episode.scenario)
         require_control_period(self._controller, name, episode.scenario)
         self._sight = sight_of(self._controller, episode.scenario)
-        self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
+        self._listen_to_scans(senses=isinstance(self._controller, SensingController))
         self._controller.reset(episode.scenario, episode.rng)
         self._answered.clear()
 
-    def _listen_to_scans(self, *, wanted: bool) -> None:
+    def _listen_to_scans(self, *, senses: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless a node listens."""
-        self._moments.needed = {EGO_ODOMETRY, ADVERSARY_ODOMETRY} | ({EGO_SCAN} if wanted else set())
-        if wanted and self._scans is None:
+        self._moments.needed = {EGO_ODOMETRY, ADVERSARY_ODOMETRY} | ({EGO_SCAN} if senses else set())
+        if senses and self._scans is None:
             of_laser = partial(self._hear, EGO_SCAN, message_to_scan)
             self._scans = self.create_subscription(LaserScan, EGO_SCAN, of_laser, STREAM)
-        elif not wanted and self._scans is not None:
+        elif not senses and self._scans is not None:
             self.destroy_subscription(self._scans)
             self._scans = None
 

@@ -54,7 +54,7 @@ def _scenario(text: str) -> Scenario:
 
 
 class CarEpisode(NamedTuple):
-    """What of an episode the car under test is told.
+    """What the car under test may know of an episode.
 
     Attributes:
         scenario: where it drives.
@@ -76,8 +76,8 @@ def message_to_car_episode(message: Any) -> CarEpisode:
         UsageError: its scenario is not valid.
     """
     rng = controller_generator(bytes(message.controller_seed))
-    told = str(message.public_scenario or message.scenario)
-    return CarEpisode(_scenario(told), str(message.controller), float(message.multiplier), rng)
+    public = str(message.public_scenario or message.scenario)
+    return CarEpisode(_scenario(public), str(message.controller), float(message.multiplier), rng)
 
 
 def message_to_episode(message: Any) -> EpisodeSpec:

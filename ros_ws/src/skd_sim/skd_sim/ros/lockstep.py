@@ -311,7 +311,7 @@ class Lockstep:
         return self._end(Outcome.ABORTED, reason) if self._frame is not None and reason is not None else None
 
     def watch(self, now: float) -> Repeat | End | None:
-        """End the episode if a sender is silent, gone or one too many; to be asked now and then (monotonic time, s)."""
+        """End the episode if a sender is silent, gone or one too many; called now and then (monotonic time, s)."""
         frame = self._frame
         if frame is None:
             return None

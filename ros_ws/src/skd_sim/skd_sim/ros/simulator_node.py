@@ -83,8 +83,8 @@ class _Publishers(Senders):
 class GraphSimulator:
     """Ground truth of the graph; one episode at a time.
 
-    It speaks through a node that may belong to others as well. Whoever shares the process hears states and results by
-    a call, and calls `begin` and `walk`; everybody else by the topics.
+    It speaks through a node that may belong to others as well. Objects of the same process hear states and results by
+    a call, and call `begin` and `walk`; others use the topics.
 
     Attributes:
         on_frame: called with each state and its stamp (ns).
@@ -152,7 +152,7 @@ class GraphSimulator:
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
         real_time = values["pacing"] == REAL_TIME
         if real_time and values["quiet_time"]:
-            raise UsageError("quiet_time goes with --pacing lockstep: real time waits for nobody")
+            raise UsageError("quiet_time goes with --pacing lockstep: real time does not wait")
         return Lockstep(
             CommandSource("the car controller", topic, drives),
             CommandSource("the adversary", VELOCITY_COMMAND, walks),

@@ -126,7 +126,7 @@ def _warn_of_unknown(node: Node) -> None:
 
 
 def spin(node: Node, ended: Callable[[], bool] = lambda: False) -> None:
-    """Run a node's callbacks until it has ended, which is asked at least every 0.05 s: a signal may come unseen.
+    """Run a node's callbacks until it has ended, which is looked at at least every 0.05 s: a signal may come unseen.
 
     Raises:
         ExternalShutdownException: the context is shut down.
@@ -156,8 +156,8 @@ def run_node(
     Args:
         make: makes the node; a ValueError from here on is one line and exit code 2.
         args: arguments of the command line.
-        work: what the node does, and its exit code; by default it answers messages until it is told to end.
-        interrupted: exit code when it is told to end by a signal; the end of a node that only answers is no failure.
+        work: what the node does, and its exit code; by default it answers messages until a signal comes.
+        interrupted: exit code where a signal ends it; the end of a node that only answers is no failure.
     """
     node: Node | None = None
     code, failed = interrupted, False
@@ -231,7 +231,7 @@ class EpisodeFollower:
 
         Args:
             node: node that follows the episodes.
-            read: gives what the node is told of an episode by the message that announces it.
+            read: gives what the node knows of an episode by the message that announces it.
             begin: called with each new episode; a ValueError from it or from `read` is logged, the episode ignored.
             at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
         """

@@ -1,4 +1,4 @@
-"""The variables that a process needs to load ROS 2's libraries from the wheels, and those that nobody else may inherit.
+"""The variables that a process needs to load ROS 2's libraries from the wheels, and that no other program may inherit.
 
 The wheels bring a `.pth` file that starts every Python of the environment a second time, with LD_LIBRARY_PATH set,
 unless a guard says that this was done. A program of ours sets both itself, and only where it needs them.
