@@ -156,7 +156,7 @@ def _episode(plan: Plan, scenario: Scenario, number: int, trajectory: Trajectory
         plan.seed,
         episode_id(Stage.PRICE, 0, number),
         trajectory,
-        public=replace(plan.scenario, others=()),
+        public=replace(plan.scenario, others=(), horizon=HORIZON),
         controller=plan.controller,
         multiplier=plan.multiplier,
         simulator=plan.simulator,
