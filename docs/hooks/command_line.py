@@ -15,13 +15,14 @@ _COMMANDS = "commands.md"
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Add the options of every command below the table of commands."""
+    """Add the list of commands, and the options of each."""
     if page.file.src_uri != _COMMANDS:
         return markdown
     return "\n".join([markdown, *_command_line()])
 
 
 def _command_line() -> Iterator[str]:
+    yield f"\n```text\n{make_parser([]).format_help()}```\n"
     for name, parser in commands_of(make_parser(["--help-all"])).items():
         yield f"\n## skd {name}\n\n{_prose(parser.description or '')}\n"
         for group in parser._action_groups:
