@@ -34,7 +34,6 @@ from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.metrics.statistics import normal_interval
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import Mode
 from skd_sim.world.state import Trajectory
 from tally import Tally
 
@@ -97,10 +96,7 @@ class Populations:
         return self.of(yardstick(self.plan, 1.0).scenario, hundredths / 100)
 
     def _computed(self, plan: Plan) -> FloatArray:
-        numbers = range(self.trials)
-        episodes = [
-            plan.episode(Mode.KAMIKAZE, i, number, phi) for i, phi in enumerate(self.safe) for number in numbers
-        ]
+        episodes = plan.trials(self.safe, self.trials)
         print(f"  margins of C = {plan.multiplier:g} …", file=sys.stderr, flush=True)
         return np.array(list(self.runner.map(margin_of, episodes))).reshape(len(self.safe), self.trials)
 

@@ -21,7 +21,6 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import variance_components
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Mode
 from skd_sim.world.state import Trajectory
 
 CARS = (1.0, 1.05)
@@ -29,11 +28,7 @@ CARS = (1.0, 1.05)
 
 def margins(plan: Plan, safe: list[Trajectory], runner: InProcessRunner) -> FloatArray:
     """Return the margin of each trial, φ × trials, m."""
-    episodes = [
-        plan.episode(Mode.KAMIKAZE, index, trial, phi)
-        for index, phi in enumerate(safe)
-        for trial in range(plan.kamikaze_count)
-    ]
+    episodes = plan.trials(safe, plan.kamikaze_count)
     eta_max = plan.scenario.eta_max
     ways = exact_margins(episodes, runner, lambda *_told: None)
     found = [eta_max if way is None else min(way.distance, eta_max) for way in ways]

@@ -287,6 +287,27 @@ class Turns(Law):
         return -5.0 if self.near(7.0 if abs(turn) >= 0.5 else 14.0, 4.0) else self.cruise(speed)
 
 
+class CarefulDriver(Law):
+    """The attentive human driver of UN Regulation No. 157: perceives a cut-in, and brakes 0.75 s later for good."""
+
+    control_period = 0.1
+    WANDER, DELAY, RAMP, MOST = 0.375, 0.75, 0.6, 0.774 * 9.81  # m, s, s, m/s²
+
+    def begin(self) -> None:
+        """Forget all."""
+        self._first, self._since = math.nan, 0.0
+
+    def decide(self, speed: float) -> float:
+        """Return the acceleration (m/s²) at a speed (m/s)."""
+        self._first = abs(self.left) if math.isnan(self._first) else max(self._first, abs(self.left))
+        time = self.gap / max(speed - self.along, 0.1)
+        cuts_in = abs(self.left) < self._first - self.WANDER and abs(self.left) < self.reach + 1.0
+        if self._since > 0.0 or (cuts_in and self.gap > 0.0 and time < 2.0):
+            self._since += self.control_period
+        share = max(0.0, min(1.0, (self._since - self.DELAY) / self.RAMP))
+        return -share * self.MOST if share else self.cruise(speed)
+
+
 class VerySlow(Slow):
     """Drives more slowly."""
 
@@ -328,8 +349,13 @@ _LAWS = (
     Forgets, Waits, OverlooksStanding, OverlooksStandingFar, OverlooksAlong, OverlooksWhileAlong, CrossingTime,
     Hysteresis, Turns,
 )  # fmt: skip
-MEMORY_CARS = tuple(
-    Car(law.__name__, (law.__mro__[1] if law.__mro__[1] is not Law else law).__name__, f"cars.memory:{law.__name__}")
-    for law in _LAWS
+MEMORY_CARS = (
+    *(
+        Car(
+            law.__name__, (law.__mro__[1] if law.__mro__[1] is not Law else law).__name__, f"cars.memory:{law.__name__}"
+        )
+        for law in _LAWS
+    ),
+    Car("CarefulDriver", "CarefulDriver", "cars.memory:CarefulDriver", scenario_name="cut_in"),
 )
-"""Twenty-one cars of fifteen families."""
+"""Twenty-two cars of sixteen families."""

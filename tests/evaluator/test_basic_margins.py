@@ -16,7 +16,6 @@ from skd_evaluator.margin.basic_margins import (
     HIGHEST,
     LOWEST,
     BasicMargins,
-    MarginCache,
     equivalent_of,
     margins_key,
     search,
@@ -47,7 +46,7 @@ class Refuses(InProcessRunner):
         raise AssertionError("there was work to do")
 
 
-def basic(multiplier: float, cache: MarginCache, runner: InProcessRunner, plan: Plan = PLAN) -> list[np.ndarray]:
+def basic(multiplier: float, cache: Path, runner: InProcessRunner, plan: Plan = PLAN) -> list[np.ndarray]:
     return BasicMargins(plan, SAFE, 4, runner, silent, cache).at(round(100 * multiplier))
 
 
@@ -58,7 +57,7 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("multiplier", [0.6, 1.08])
 def test_a_basic_car_reads_itself_back(multiplier, folder):
-    cache, runner = MarginCache(folder), InProcessRunner(1)
+    cache, runner = folder, InProcessRunner(1)
     found, note = equivalent_of(PLAN, SAFE, basic(multiplier, cache, runner), runner, silent, cache)
     assert found is not None
     assert found.value == pytest.approx(multiplier, abs=0.05)  # in 12 trials some C have the same margins
@@ -67,18 +66,18 @@ def test_a_basic_car_reads_itself_back(multiplier, folder):
     assert "basic cars" in note
 
 
-def test_nothing_depends_on_workers_or_on_what_was_kept(folder):
+def test_nothing_depends_on_workers_or_on_what_was_kept(folder, tmp_path):
     car = [np.array([0.3, 0.5, 0.2, math.nan]), np.array([0.4, 0.3, 0.6, 0.5]), np.array([0.1, 0.3])]
-    kept = MarginCache(folder)
+    kept = folder
     found = equivalent_of(PLAN, SAFE, car, InProcessRunner(1), silent, kept)
     assert equivalent_of(PLAN, SAFE, car, Refuses(1), silent, kept) == found
     with InProcessRunner(2) as runner:
         runner.start()
-        assert equivalent_of(PLAN, SAFE, car, runner, silent, MarginCache(None)) == found
+        assert equivalent_of(PLAN, SAFE, car, runner, silent, tmp_path) == found
 
 
 def test_a_car_that_cannot_be_hit_and_one_that_always_is(folder):
-    cache = MarginCache(folder)
+    cache = folder
     above, _ = equivalent_of(PLAN, SAFE, [np.full(4, math.inf)] * 3, InProcessRunner(1), silent, cache)
     below, _ = equivalent_of(PLAN, SAFE, [np.zeros(4)] * 3, InProcessRunner(1), silent, cache)
     assert above is not None
@@ -112,15 +111,15 @@ def test_the_yardstick_is_one_for_all_cars():
 
 def test_where_no_basic_car_is_known_it_is_said():
     curve = load_scenario("right_turn")
-    assert unknown_for(PLAN) is None
-    found, note = equivalent_of(Plan(curve), SAFE, [[1.0]] * 3, Refuses(1), silent, MarginCache(None))
+    assert not unknown_for(PLAN)
+    found, note = equivalent_of(Plan(curve), SAFE, [[1.0]] * 3, Refuses(1), silent)
     assert found is None
     assert "curves" in note
     cyclist = Plan(load_scenario("cyclist"))
-    found, note = equivalent_of(cyclist, SAFE, [[1.0]] * 3, Refuses(1), silent, MarginCache(None))
+    found, note = equivalent_of(cyclist, SAFE, [[1.0]] * 3, Refuses(1), silent)
     assert found is None
     assert "cyclist" in note
-    found, note = equivalent_of(PLAN, SAFE, [[math.nan], [], [math.nan]], Refuses(1), silent, MarginCache(None))
+    found, note = equivalent_of(PLAN, SAFE, [[math.nan], [], [math.nan]], Refuses(1), silent)
     assert (found, note) == (None, "no trial has a margin")
 
 

@@ -199,5 +199,5 @@ def test_it_is_not_run_at_other_times_than_it_declares() -> None:
 
 
 def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:
-    with pytest.raises(ValueError, match="decides once a time step"):
+    with pytest.raises(ValueError, match="more often than once a tick"):
         exact_margin(episode_of("basic"))

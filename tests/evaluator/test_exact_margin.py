@@ -283,7 +283,7 @@ def test_only_what_is_predictable_has_an_exact_margin():
     car = replace(CROSSING.car, dynamics="multi_body")
     with pytest.raises(ValueError, match="multi_body"):
         exact_margin(replace(episode, scenario=replace(CROSSING, car=car)))
-    with pytest.raises(ValueError, match="disc"):
+    with pytest.raises(ValueError, match="cyclist"):
         exact_margin(replace(episode, scenario=load_scenario("cyclist")))
     with pytest.raises(ValueError, match="SAFE"):
         exact_margin(replace(episode, mode=Mode.SAFE))

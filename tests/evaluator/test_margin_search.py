@@ -19,7 +19,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.group import Group, search
-from skd_evaluator.margin.search.rounds import in_processes, repeated
+from skd_evaluator.margin.search.rounds import confirmed, in_processes
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import deviation
@@ -279,11 +279,11 @@ def test_of_few_trials_what_the_last_doubling_brought_may_be_missing():
 def test_a_car_that_does_not_repeat_itself_is_noticed():
     driver = Driver(Moody())
     margins = search_margins(episodes(1.0, 8), {}, driver.rounds, LITTLE)
-    hits, again = repeated(margins, driver)
-    assert hits == 8 - margins.hits.count(None)
-    assert again < hits
+    assert confirmed(episodes(1.0, 8), margins, driver).count(None) > margins.hits.count(None)
     calm = Driver(BasicController(1.0))
-    assert repeated(search_margins(episodes(1.0, 8), {}, calm.rounds, LITTLE), calm) == (8, 8)
+    margins = search_margins(episodes(1.0, 8), {}, calm.rounds, LITTLE)
+    again = [hit.distance for hit in confirmed(episodes(1.0, 8), margins, calm) if hit]
+    assert again == pytest.approx([hit.distance for hit in margins.hits if hit], abs=1e-12)
 
 
 def test_a_search_all_of_whose_episodes_are_aborted_is_an_error():

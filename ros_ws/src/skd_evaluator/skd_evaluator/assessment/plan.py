@@ -146,6 +146,12 @@ class Plan(CampaignOptions):
             **shared_options(self),
         )
 
+    def trials(self, safe: Sequence[Trajectory], each: int) -> list[EpisodeSpec]:
+        """Return the first so many trials on each φ, φ by φ, in kamikaze mode."""
+        return [
+            self.episode(Mode.KAMIKAZE, index, trial, phi) for index, phi in enumerate(safe) for trial in range(each)
+        ]
+
 
 def runs_along(plan: Plan, safe: Sequence[Trajectory]) -> list[EpisodeSpec]:
     """Return the runs along φ, dealt out evenly over Φ."""

@@ -80,41 +80,39 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
 
 
 def has_exact_margin(car: CarUnderTest, scenario: Scenario) -> bool:
-    """Tell whether it is known what a car answers to every sequence of actions.
+    """Tell whether it is known what a car answers to every sequence of actions."""
+    return not why_not_exact(car, scenario)
 
-    That is the basic car, deciding once a tick, on a straight road and beside a pedestrian that is a disc, with no
+
+def why_not_exact(car: CarUnderTest, scenario: Scenario) -> str:
+    """Return for what no margin is exact, in a few words; empty where it is.
+
+    It is for the basic car, deciding once a tick, on a straight road and beside a pedestrian that is a disc, with no
     obstacles and others, that crosses to the right.
     """
-    return not _why_not(car, scenario)
-
-
-def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
-    """Return what is not known, in a few words; empty where all is."""
-    if not car.is_known:
-        return f"what controller {car.controller} answers to other actions is not known"
-    if not DYNAMICS[scenario.car.dynamics].known:
-        return f"the search knows the basic car, not car.dynamics {scenario.car.dynamics}"
-    if not scenario.road.straight or scenario.adversary.is_box:
-        return "the search knows straight roads and adversaries that are discs, no others"
-    if road_user_named(scenario.adversary.kind) is not PEDESTRIAN:
-        return f"the search knows what a pedestrian can do, not adversary.kind {scenario.adversary.kind}"
-    if scenario.obstacles or scenario.others:
-        return "the search knows nothing of obstacles and others"
-    if scenario.end.crossing < 0.0 or scenario.ending is not None:
-        return "the search knows adversaries that cross to the right, and end beyond the car's path"
-    if scenario.control_periods != 1:
-        return "the search knows a car that decides once a time step"
-    return ""
+    adversary, end = scenario.adversary, scenario.end
+    reasons = {
+        f"of controller {car.controller}": not car.is_known,
+        f"with car.dynamics {scenario.car.dynamics}": not DYNAMICS[scenario.car.dynamics].known,
+        "on a road with curves": not scenario.road.straight,
+        f"with adversary.kind {adversary.kind}": adversary.is_box or road_user_named(adversary.kind) is not PEDESTRIAN,
+        "beside obstacles": bool(scenario.obstacles),
+        "beside others": bool(scenario.others),
+        "where the adversary does not cross to the right, or has an ending of its own": end.crossing < 0.0
+        or scenario.ending is not None,
+        "of a car that decides more often than once a tick": scenario.control_periods != 1,
+    }
+    return next((reason for reason, is_so in reasons.items() if is_so), "")
 
 
 def require_exact(episode: EpisodeSpec) -> None:
     """Refuse an episode of which it is not known what each sequence of actions would have led to.
 
     Raises:
-        ValueError: it is not in kamikaze mode, or its car not predictable.
+        ValueError: it is not in kamikaze mode, or its margin not exact.
     """
-    why = _why_not(episode.car, episode.scenario)
+    why = why_not_exact(episode.car, episode.scenario)
     if not why and (episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None):
-        why = f"there is a margin of kamikaze episodes alone, and none in mode {episode.mode.name}"
+        why = f"in mode {episode.mode.name}"
     if why:
-        raise ValueError(why)
+        raise ValueError(f"no margin is exact {why}")

@@ -8,8 +8,8 @@ C are hundredths. They are computed as they are needed: C whose margins lie on b
 bisection, and then those at which the difference is told apart from 0. That depends on the car's margins alone, and not
 on what was kept from before, nor on time or the number of workers.
 
-Margins that were found are kept in the user's cache: a file for a car and its trials, named for all that its numbers
-depend on.
+Margins that were found are kept in the user's cache, beside compiled kernels: a file for a car and its trials, named
+for all that its numbers depend on.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ import contextlib
 import hashlib
 import json
 import math
-import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.crossing.road_users import AS_PHI
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.kernels.compilation import cache_folder
 from skd_sim.options.car_under_test import BASIC, WORLD
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import EpisodeSpec, Mode
+from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.context import Progress
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
-from skd_evaluator.margin.actions import has_exact_margin, velocities
+from skd_evaluator.margin.actions import velocities, why_not_exact
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.equivalent_multiplier import (
     EquivalentMultiplier,
@@ -71,20 +71,10 @@ def yardstick(plan: Plan, multiplier: float) -> Plan:
     return replace(plan, scenario=scenario, controller="basic", multiplier=multiplier, car_model="", simulator=WORLD)
 
 
-def unknown_for(plan: Plan) -> str | None:
-    """Return, in a few words, why no basic car's margin is exact in this scenario; None if it is."""
+def unknown_for(plan: Plan) -> str:
+    """Return, in a few words, why no basic car's margin is exact in this scenario; empty if it is."""
     basic = yardstick(plan, 1.0)
-    if has_exact_margin(basic.car, basic.scenario):
-        return None
-    if not basic.scenario.road.straight:
-        return "on a road with curves"
-    if basic.scenario.obstacles:
-        return "beside obstacles"
-    if basic.scenario.others:
-        return "beside others"
-    if basic.scenario.end.crossing < 0.0 or basic.scenario.ending is not None:
-        return "where the adversary does not cross to the right, or has an ending of its own"
-    return f"with adversary.kind {basic.scenario.adversary.kind}"
+    return why_not_exact(basic.car, basic.scenario)
 
 
 def trials_of(scenario: Scenario, safe: Sequence[Trajectory], trials: int) -> int:
@@ -135,28 +125,24 @@ class BasicMargins:
     trials: int
     runner: Workers
     progress: Progress
-    cache: MarginCache
+    cache: Path
 
     def at(self, hundredths: int) -> list[FloatArray]:
         """Return, per φ, the margin of trials 0, 1, … of the basic car with C = `hundredths`/100, m."""
         multiplier = hundredths / 100
         plan = yardstick(self.plan, multiplier)
         key = margins_key(plan.scenario, self.safe, plan.seed, self.trials, multiplier)
-        known = self.cache.load(key, len(self.safe), self.trials, plan.scenario.eta_max)
-        if known is not None:
-            return known
-        episodes = [
-            plan.episode(Mode.KAMIKAZE, index, trial, phi)
-            for index, phi in enumerate(self.safe)
-            for trial in range(self.trials)
-        ]
-        found = np.empty(len(episodes))
-        for number, margin in enumerate(self.runner.map(margin_of, episodes)):
-            found[number] = margin
-            self.progress(f"{LABEL}, C = {multiplier:g}", number + 1, len(episodes))
-        margins = list(found.reshape(len(self.safe), self.trials))
-        self.cache.save(key, margins)
-        return margins
+        file, shape = self.cache / f"{key}.npy", (len(self.safe), self.trials)
+        if (known := _kept(file, shape, plan.scenario.eta_max)) is not None:
+            return list(known)
+        episodes = plan.trials(self.safe, self.trials)
+        found = []
+        for margin in self.runner.map(margin_of, episodes):
+            found.append(margin)
+            self.progress(f"{LABEL}, C = {multiplier:g}", len(found), len(episodes))
+        margins = np.reshape(found, shape)
+        _keep(file, margins)
+        return list(margins)
 
 
 def equivalent_of(
@@ -165,7 +151,7 @@ def equivalent_of(
     margins_per_phi: Sequence[npt.ArrayLike],
     runner: Workers,
     progress: Progress,
-    cache: MarginCache | None = None,
+    cache: Path | None = None,
 ) -> tuple[EquivalentMultiplier | None, str]:
     """Return the equivalent multiplier of a car, and in one line what it was read off, or why there is none.
 
@@ -193,7 +179,9 @@ def equivalent_of(
     car = [one[:used] for one in car]
     if not any(np.isfinite(one).any() for one in car):
         return None, f"none of the first {used} trials on each φ has a margin"
-    basic = BasicMargins(plan, safe, used, runner, progress, users_cache() if cache is None else cache)
+    basic = BasicMargins(
+        plan, safe, used, runner, progress, cache_folder().with_name("margins") if cache is None else cache
+    )
     computed: dict[int, list[FloatArray]] = {}
     differences: dict[int, MarginDifference] = {}
 
@@ -304,8 +292,6 @@ def _outwards(start: int, side: int, inside: Callable[[int], bool]) -> None:
 
 DEFINITION = 2
 """Of the margin of a trial: one more whenever what `exact_margin` gives for the same episode changes."""
-VARIABLE = "SKD_CACHE_DIR"
-_FOLDER = "margins"
 
 
 def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, trials: int, multiplier: float) -> str:
@@ -319,64 +305,28 @@ def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, trial
         multiplier: C of the basic car.
     """
     described = {name: value for name, value in scenario.as_dict().items() if name not in ("name", "description")}
-    about = {
-        "definition": DEFINITION,
-        "scenario": described,
-        "safe": [
-            [
-                list(one.positions.shape),
-                one.time_step,
-                hashlib.sha256(one.positions.astype("<f8").tobytes()).hexdigest(),
-            ]
-            for one in safe
-        ],
-        "seed": seed,
-        "trials": trials,
-        "multiplier": multiplier,
-    }
-    return _digest(about)
+    paths = [[one.positions.shape, one.time_step] for one in safe]
+    about = json.dumps([DEFINITION, described, seed, trials, multiplier, paths], sort_keys=True)
+    found = hashlib.sha256(about.encode())
+    for one in safe:
+        found.update(one.positions.astype("<f8").tobytes())
+    return found.hexdigest()
 
 
-class MarginCache:
-    """A folder of margins."""
-
-    def __init__(self, folder: Path | None) -> None:
-        """Keep margins in a folder, or with None nowhere."""
-        self._folder = folder
-
-    def load(self, key: str, safe_count: int, trials: int, eta_max: float) -> list[FloatArray] | None:
-        """Return the margins kept under a key, m, per φ; None where there are none, or the file is damaged."""
-        if self._folder is None:
-            return None
-        try:
-            found = np.load(self._folder / f"{key}.npy", allow_pickle=False)
-        except (OSError, ValueError, EOFError):
-            return None
-        good = found.shape == (safe_count, trials) and ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()
-        return list(found) if good else None
-
-    def save(self, key: str, margins: Sequence[FloatArray]) -> None:
-        """Keep margins, m, per φ; where that is not possible, they will be computed again."""
-        if self._folder is None:
-            return
-        with contextlib.suppress(OSError):
-            self._folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=self._folder, prefix=f".{key[:16]}-", delete=False) as stream:
-                np.save(stream, np.array(margins))
-            Path(stream.name).replace(self._folder / f"{key}.npy")
-
-
-def users_cache() -> MarginCache:
-    """Return the cache in $SKD_CACHE_DIR, else in the user's."""
+def _kept(file: Path, shape: tuple[int, int], eta_max: float) -> FloatArray | None:
+    """Return the margins in a file of the cache, φ × trials, m; None where there are none, or the file is damaged."""
     try:
-        root = os.environ.get(VARIABLE)
-        base = Path(root) if root else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skd"
-    except RuntimeError:  # there is no home
-        return MarginCache(None)
-    return MarginCache(base / _FOLDER)
+        found: FloatArray = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    good = found.shape == shape and ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()
+    return found if good else None
 
 
-def _digest(content: Mapping[str, Any] | list[Any]) -> str:
-    """Return the SHA-256 of plain data; floats are written so that they are read back to the last bit."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+def _keep(file: Path, margins: FloatArray) -> None:
+    """Keep margins in a file; where that is not possible, they will be computed again."""
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=f".{file.name[:16]}-", delete=False) as stream:
+            np.save(stream, margins)
+        Path(stream.name).replace(file)

@@ -7,6 +7,7 @@ deviation: no car is called safer because its search was less lucky. Nothing fur
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import scenario_from_dict
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.compare.comparability import refusals
@@ -30,7 +31,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import SAME, in_processes
 from skd_evaluator.margin.search.search import OtherHit, margins_with_other_hits
 from skd_evaluator.margin.search.trial import prescribed
-from skd_evaluator.metrics.deviation import Hit, deviation
+from skd_evaluator.metrics.deviation import Hit, hit_of
 from skd_evaluator.metrics.statistics import mean
 
 MARGIN = "margin"
@@ -103,31 +104,25 @@ def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress
         AssessmentError: it fails, or does not repeat the hits of the result.
     """
     trials, groups = _trials(result), result.groups[MARGIN]
-    driven, stored = [], []
-    for index, mine in enumerate(own):
-        for trial, hit in zip(trials[index], mine, strict=True):
-            if hit is not None:
-                driven.append(prescribed(trial, _whole(hit)))
-                stored.append((result.safe[index], hit.distance))
-    first = trials[0][0]
+    pairs = zip(trials, itertools.chain.from_iterable(own), strict=True)
+    hit_in = [(trial, hit) for trial, hit in pairs if hit is not None]
+    first = trials[0]
     with InProcessRunner(available_workers(), isolated=not first.car.is_own) as runner:
         runner.start()
-        logs = list(runner.run(driven))
-        again = sum(map(_repeats, stored, logs))
+        logs = list(runner.run([prescribed(trial, _whole(hit)) for trial, hit in hit_in]))
+        again = sum(_repeats(trial, hit.distance, log) for (trial, hit), log in zip(hit_in, logs, strict=True))
         if again < len(logs):
             raise AssessmentError(
                 f"of its {len(logs)} hits {again} come again: its code has changed, or it does not repeat itself"
             )
         known = {log.episode.episode_id: log for log in logs}
-        found = margins_with_other_hits(
-            [one for row in trials for one in row], known, hits, in_processes(runner, progress)
-        )
+        found = margins_with_other_hits(trials, known, hits, in_processes(runner, progress))
     ends = np.cumsum([len(one) for one in groups])[:-1]
     return tuple(map(np.minimum, groups, np.split(found, ends)))
 
 
-def _trials(result: StoredResult) -> list[list[EpisodeSpec]]:
-    """Return the trials of each φ in which a result has margins.
+def _trials(result: StoredResult) -> list[EpisodeSpec]:
+    """Return the trials in which a result has margins, φ by φ.
 
     Raises:
         UsageError: its car cannot be run here.
@@ -138,23 +133,11 @@ def _trials(result: StoredResult) -> list[list[EpisodeSpec]]:
     if car.is_external or not is_own_world(simulator):
         raise UsageError("its car is a node of its own" if car.is_external else f"it was in simulator {simulator}")
     scenario = check_controller(car, scenario_from_dict(figures["scenario"], str(result.folder)))
-    plan = Plan(
-        scenario,
-        controller=car.controller,
-        multiplier=car.multiplier,
-        seed=int(figures["seed"]),
-    )
-    return [
-        [
-            plan.episode(Mode.KAMIKAZE, index, trial, Trajectory(phi, scenario.time_step, f"φ {index}"))
-            for trial in range(len(result.groups[MARGIN][index]))
-        ]
-        for index, phi in enumerate(result.safe)
-    ]
+    plan = Plan(scenario, controller=car.controller, multiplier=car.multiplier, seed=int(figures["seed"]))
+    safe = [Trajectory(phi, scenario.time_step, f"φ {index}") for index, phi in enumerate(result.safe)]
+    return plan.trials(safe, len(result.groups[MARGIN][0]))
 
 
-def _repeats(stored: tuple[FloatArray, float], log: EpisodeLog) -> bool:
-    phi, distance = stored
-    if not log.hit:
-        return False
-    return abs(deviation(phi, log.trajectory.positions, log.impact_time / log.trajectory.time_step) - distance) <= SAME
+def _repeats(trial: EpisodeSpec, distance: float, log: EpisodeLog) -> bool:
+    phi = trial.safe_trajectory
+    return log.hit and phi is not None and abs(hit_of(phi.positions, log).distance - distance) <= SAME

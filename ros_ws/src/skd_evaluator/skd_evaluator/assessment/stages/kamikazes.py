@@ -107,11 +107,7 @@ def bounded_point(result: ObjectiveResult, safe: Sequence[Trajectory], eta: floa
     Their number is fixed beforehand: to go on until enough have collided would make the share too high.
     """
     plan = replace(result.plan, maximum_distance=eta)
-    episodes = [
-        plan.episode(Mode.KAMIKAZE, index, trial, phi)
-        for index, phi in enumerate(safe)
-        for trial in range(bounded_trials(plan))
-    ]
+    episodes = plan.trials(safe, bounded_trials(plan))
     successes = aborted = 0
     for log in runner.run(episodes):
         aborted += log.outcome == Outcome.ABORTED

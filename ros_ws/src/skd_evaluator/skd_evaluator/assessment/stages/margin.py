@@ -6,6 +6,7 @@ them. So the margins are a property of the car, and do not depend on what an adv
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -27,16 +28,15 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin, search_least
-from skd_evaluator.margin.search.rounds import by_episodes, confirmed, in_processes, one_by_one, repeated
+from skd_evaluator.margin.search.rounds import SAME, by_episodes, confirmed, in_processes, one_by_one
 from skd_evaluator.margin.search.search import HELD_COMMANDS, IN_PROCESS, WHOLE_EPISODES, Effort, search_margins
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.metrics.deviation import Hit, hit_of
+from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.margins import Margins, Search
 
 LABEL = "margin"
-_ROUNDING = 1e-6  # m
 WHOLE_EPISODE_TRIALS = 5
 """Trials on each φ whose margin is searched by whole episodes."""
 HELD_COMMANDS_TRIALS = 1
@@ -110,7 +110,7 @@ def minimal_deviations(
     if has_exact_margin(first.car, first.scenario):
         return exact_margins(episodes, runner, progress), None
     found = search_margins(episodes, logs, in_processes(runner, progress), _effort(IN_PROCESS, limit))
-    hits, again = repeated(found, runner)
+    hits, again = (sum(one is not None for one in some) for some in (found.hits, confirmed(episodes, found, runner)))
     if again < hits:
         raise AssessmentError(
             f"controller {first.controller} answers differently to the same trajectories: of {hits} hits {again} came "
@@ -125,41 +125,10 @@ def _effort(usual: Effort, limit: int) -> Effort:
     return usual._replace(first=min(usual.first, most), limit=most)
 
 
-def with_planned_hits(
-    episodes: Sequence[EpisodeSpec], hits: Sequence[Hit | None], logs: Mapping[int, Sequence[EpisodeLog]]
-) -> tuple[list[Hit | None], int]:
-    """Return the hits, or better ones of planned kamikazes, and in how many trials these were better.
-
-    The search begins with the kamikazes' hits, so it finds none worse if the car always answers in the same way.
-
-    Args:
-        episodes: the trials.
-        hits: the hit of least deviation that was found for each trial.
-        logs: what happened to kamikazes in them, by the id of their episode.
-    """
-    found = list(hits)
-    for index, episode in enumerate(episodes):
-        for log in logs.get(episode.episode_id, ()):
-            if not log.hit or episode.safe_trajectory is None:
-                continue
-            hit, least = hit_of(episode.safe_trajectory.positions, log), found[index]
-            bound = episode.scenario.eta_max if least is None else least.distance - _ROUNDING
-            if hit.distance < bound:
-                found[index] = hit
-    return found, sum(new is not old for new, old in zip(found, hits, strict=True))
-
-
 def _without_noise(episode: EpisodeSpec) -> EpisodeSpec:
     """Return a trial in another simulator, whose car has nothing of the noise that SKD's own world draws."""
     car = replace(episode.scenario.car, speed_noise=0.0, acceleration_noise=0.0)
     return replace(episode, scenario=replace(episode.scenario, car=car), public=episode.public_scenario)
-
-
-def _inconsistent(plan: Plan, number: int, trials: int) -> str:
-    return (
-        f"{NOT_CREDIBLE}in {number} of {trials} trials a planned kamikaze was hit where the search for the margin was "
-        f"not: {plan.controller} answers the search otherwise than an episode; these hits count"
-    )
 
 
 def _by_whole_episodes(
@@ -178,12 +147,8 @@ def _by_whole_episodes(
     effort = _effort(HELD_COMMANDS if held else WHOLE_EPISODES, context.margin_limit)
     found = search_margins(episodes, logs, by_episodes(runner, context.progress), effort)
     warnings = []
-    best = found.hits
-    if held:
-        best = confirmed(found, runner)
-        hits, again = (sum(one is not None for one in some) for some in (found.hits, best))
-    else:
-        hits, again = repeated(found, runner)
+    best = confirmed(episodes, found, runner, math.inf if held else SAME)
+    hits, again = (sum(one is not None for one in some) for some in (found.hits, best))
     if found.reasons:
         lost = f"{len(found.reasons)} episodes of the search for the margin were aborted ({found.reasons[0]})"
         if len(found.reasons) > MAXIMUM_ABORTED * found.driven:
@@ -198,7 +163,11 @@ def _by_whole_episodes(
     if held and again < hits:
         came += f", the others count as {plan.scenario.eta_max:g} m"
     how = f"by up to {found.search.budget} whole episodes a trial; {came}"
-    return best, replace(found.search, how=how, converged=found.search.converged and not held), warnings
+    return (
+        (best if held else found.hits),
+        replace(found.search, how=how, converged=found.search.converged and not held),
+        warnings,
+    )
 
 
 @stage(70)
@@ -217,11 +186,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         return replace(assessment, margin_note=note)
     most = HELD_COMMANDS_TRIALS if held else WHOLE_EPISODE_TRIALS
     each = min(plan.kamikaze_count, most) if whole else plan.kamikaze_count
-    episodes = [
-        plan.episode(Mode.KAMIKAZE, index, trial, phi)
-        for index, phi in enumerate(assessment.safe)
-        for trial in range(each)
-    ]
+    episodes = plan.trials(assessment.safe, each)
     logs: dict[int, list[EpisodeLog]] = {}
     for log in assessment.kamikaze_logs:
         logs.setdefault(log.episode.episode_id, []).append(log)
@@ -234,10 +199,6 @@ def run(context: Context, assessment: Assessment) -> Assessment:
             found, search, warnings = _by_whole_episodes(trials, logs, plan, runner, context)
         else:
             found, search = minimal_deviations(episodes, logs, context.workers, context.progress, context.margin_limit)
-            if search is not None:
-                found, shorter = with_planned_hits(episodes, found, logs)
-                if shorter:
-                    warnings = [_inconsistent(plan, shorter, len(episodes))]
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same

@@ -122,7 +122,7 @@ def _unknown(scenario: Scenario) -> str | None:
     from skd_evaluator.assessment.plan import Plan
     from skd_evaluator.margin.basic_margins import unknown_for
 
-    return unknown_for(Plan(scenario))
+    return unknown_for(Plan(scenario)) or None
 
 
 def _campaign(arguments: argparse.Namespace) -> int:

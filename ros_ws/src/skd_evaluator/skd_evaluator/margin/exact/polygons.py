@@ -53,10 +53,8 @@ def cut(points: FloatArray, count: int, a: float, b: float, c: float, out: Float
 def cut_to_capsule(
     points: FloatArray,
     count: int,
-    ax: float,
-    ay: float,
-    bx: float,
-    by: float,
+    a: tuple[float, float],
+    b: tuple[float, float],
     radius: float,
     relative: float,
     other: FloatArray,
@@ -66,10 +64,8 @@ def cut_to_capsule(
     Args:
         points: corners of the polygon; receives those of the result.
         count: how many corners it has.
-        ax: x of point a, m.
-        ay: y of point a, m.
-        bx: x of point b, m.
-        by: y of point b, m.
+        a: begin of the segment, m.
+        b: its end, m.
         radius: greatest distance from the segment, m.
         relative: by how much the result may be too large, as a share of the radius.
         other: room for another polygon.
@@ -77,6 +73,7 @@ def cut_to_capsule(
     Returns:
         Number of points.
     """
+    (ax, ay), (bx, by) = a, b
     dx, dy = bx - ax, by - ay
     squared = dx * dx + dy * dy
     most = radius * (1.0 + relative)
@@ -202,15 +199,13 @@ def half_planes(points: FloatArray, count: int, out: FloatArray) -> int:
         length = math.sqrt(dx * dx + dy * dy)
         if length > 1e-7:
             out[n, 0], out[n, 1] = dy / length, -dx / length
-            out[n, 2] = -np.inf
-            for k in range(count):
-                out[n, 2] = max(out[n, 2], out[n, 0] * points[k, 0] + out[n, 1] * points[k, 1] + SLACK)
             n += 1
     if n < 3:
-        for i in range(4):
-            out[i, 0], out[i, 1] = (1.0, -1.0, 0.0, 0.0)[i], (0.0, 0.0, 1.0, -1.0)[i]
-            out[i, 2] = -np.inf
-            for k in range(count):
-                out[i, 2] = max(out[i, 2], out[i, 0] * points[k, 0] + out[i, 1] * points[k, 1] + SLACK)
         n = 4
+        for i in range(n):
+            out[i, 0], out[i, 1] = (1.0, -1.0, 0.0, 0.0)[i], (0.0, 0.0, 1.0, -1.0)[i]
+    for i in range(n):
+        out[i, 2] = -np.inf
+        for k in range(count):
+            out[i, 2] = max(out[i, 2], out[i, 0] * points[k, 0] + out[i, 1] * points[k, 1] + SLACK)
     return n

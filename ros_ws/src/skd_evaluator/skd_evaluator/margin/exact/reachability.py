@@ -107,9 +107,16 @@ def _grown_car(c: ExactProblem, x: float, y: float, out: FloatArray) -> int:
 
 @kernel
 def in_zone(
-    c: ExactProblem, where: int, front: float, points: FloatArray, count: int, out: FloatArray, other: FloatArray
+    c: ExactProblem, where: int, car: FloatArray, points: FloatArray, count: int, out: FloatArray, other: FloatArray
 ) -> int:
-    """Write the part of a set that is behind the front, in the strip or ahead; return the number of its points."""
+    """Write the part of a set that is behind the front, in the strip or ahead; return the number of its points.
+
+    Beside a car that stands it is all one.
+    """
+    if car[2] == 0.0:
+        out[:count] = points
+        return count
+    front = car[1] + c.front
     if where == BEHIND:
         return cut(points, count, 0.0, 1.0, front + SLACK, out)
     if where == AHEAD:
@@ -186,17 +193,8 @@ def contact_set(
         s = begin + (end - begin) * piece / pieces
         e = begin + (end - begin) * (piece + 1) / pieces
         count = _grown_car(c, before[0], before[1], grown)
-        count = cut_to_capsule(
-            grown,
-            count,
-            x_phi + s * past_x,
-            y_phi + s * past_y,
-            x_phi + e * past_x,
-            y_phi + e * past_y,
-            SURE * limit + MARGIN,
-            _OUTSTANDING,
-            other,
-        )
+        first, last = (x_phi + s * past_x, y_phi + s * past_y), (x_phi + e * past_x, y_phi + e * past_y)
+        count = cut_to_capsule(grown, count, first, last, SURE * limit + MARGIN, _OUTSTANDING, other)
         if count == 0:
             continue
         for i in range(move_count):
@@ -269,21 +267,17 @@ def reach_forwards(c: ExactProblem, f: Reachability, limit: float, fine: float, 
             state += 1
             continue
         first, count = f.reached[state, 0], f.reached[state, 1]
-        x_phi, y_phi = place_of_phi(c, tick + 1)
+        phi = place_of_phi(c, tick + 1)
         for where in range(3):
-            if speed == 0.0:  # whatever it does
-                if where != BRAKED:
-                    continue
-                n = count
-                zone[:n] = f.points[first : first + count]
-            else:
-                n = in_zone(c, where, y + c.front, f.points[first : first + count], count, zone, other)
+            if speed == 0.0 and where != BRAKED:
+                continue
+            n = in_zone(c, where, f.car[state], f.points[first : first + count], count, zone, other)
             if n == 0:
                 continue
             new = f.size[0]
             if new >= f.car.shape[0] or f.size[1] + MOST > f.points.shape[0]:
                 return -1
-            distance, after = car_step(c, y, speed, where == BRAKED, tick)
+            distance, after = car_step(c, speed, where == BRAKED, tick)
             f.car[new, 0] = f.car[state, 0] + distance * c.cos_heading
             f.car[new, 1] = f.car[state, 1] + distance * c.sin_heading
             f.car[new, 2] = after
@@ -297,7 +291,7 @@ def reach_forwards(c: ExactProblem, f: Reachability, limit: float, fine: float, 
                     return 1
             n = add(zone, n, f.moves[tick], f.move_count[tick], sum_)
             n = cut(sum_, n, 1.0, 0.0, c.path_edge + SLACK, zone)
-            n = cut_to_capsule(zone, n, x_phi, y_phi, x_phi, y_phi, SURE * limit + MARGIN, _OUTSTANDING, other)
+            n = cut_to_capsule(zone, n, phi, phi, SURE * limit + MARGIN, _OUTSTANDING, other)
             if n == 0 and f.touches[state, where] == 0:
                 continue
             f.child[state, where] = new  # with nothing in it where there is a hit in this tick or none at all
@@ -324,7 +318,6 @@ def reach_backwards(c: ExactProblem, f: Reachability, limit: float, fine: float)
     # From here on `reached` of a history holds from where there can be a hit.
     for state in range(f.size[0] - 1, -1, -1):
         tick = f.tick[state]
-        y, speed = f.car[state, 1], f.car[state, 2]
         first, count = f.reached[state, 0], f.reached[state, 1]
         all_count = 0
         for where in range(3):
@@ -332,11 +325,7 @@ def reach_backwards(c: ExactProblem, f: Reachability, limit: float, fine: float)
             child = f.child[state, where]
             if child < 0:
                 continue
-            if speed == 0.0:
-                n = count
-                zone[:n] = f.points[first : first + count]
-            else:
-                n = in_zone(c, where, y + c.front, f.points[first : first + count], count, zone, other)
+            n = in_zone(c, where, f.car[state], f.points[first : first + count], count, zone, other)
             plane_count = half_planes(zone, n, planes)
             m = 0
             if f.touches[state, where] != 0:
@@ -418,7 +407,6 @@ class ExactProblem(NamedTuple):
 
     path: FloatArray  # φ, n × 2
     noise: FloatArray  # ticks × 2: relative perturbation of speed and of acceleration
-    slowest: FloatArray  # ticks + 1: least share of its speed that a car keeps from tick t on, unbraked
     fastest: FloatArray  # ticks + 1: greatest share of its speed that a car has at any time from tick t on
     car_x: float
     car_y: float
@@ -446,14 +434,12 @@ def make_problem(episode: EpisodeSpec) -> ExactProblem:
     # The world draws two numbers a tick, for the speed and for the acceleration, whatever happens.
     draws = generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2))
     noise = (2.0 * draws - 1.0) * np.array([car.speed_noise, car.acceleration_noise])
-    slowest, fastest = np.ones(ticks + 1), np.ones(ticks + 1)
+    fastest = np.ones(ticks + 1)
     for tick in range(ticks - 1, -1, -1):
-        slowest[tick] = min(1.0, (1.0 + noise[tick, 0]) * slowest[tick + 1])
         fastest[tick] = max(1.0, (1.0 + noise[tick, 0]) * fastest[tick + 1])
     return ExactProblem(
         path=np.array(episode.safe_trajectory.positions, order="C"),
         noise=noise,
-        slowest=slowest,
         fastest=fastest,
         car_x=world.car.x,
         car_y=world.car.y,
@@ -475,7 +461,7 @@ def make_problem(episode: EpisodeSpec) -> ExactProblem:
 
 
 @kernel
-def car_step(c: ExactProblem, y: float, speed: float, braking: bool, tick: int) -> tuple[float, float]:
+def car_step(c: ExactProblem, speed: float, braking: bool, tick: int) -> tuple[float, float]:
     """Return how far the car comes in a tick (m) and its speed after it (m/s)."""
     acceleration = -c.deceleration if braking else 0.0
     applied = acceleration + c.noise[tick, 1] * acceleration

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary.crossing.model import RoadUserMotion
+from skd_adversary.crossing.model import RoadUserMotion, choices
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
@@ -88,6 +88,12 @@ class ActionSpace:
         found += self.path[0]
         return found
 
+    def table_along(self, positions: FloatArray) -> FloatArray:
+        """Return the velocities of the actions in each tick of a trajectory (n × 2, m), n − 1 or more × actions × 2."""
+        if self.table is not None:
+            return self.table
+        return choices(road_user_named(self.scenario.adversary.kind), self.scenario, self.path, positions)
+
     def candidates(self, sequences: IntArray) -> list[Candidate]:
         """Return where sequences of actions lead, n × ticks."""
         positions = self.positions(sequences)
@@ -132,18 +138,12 @@ class ActionSpace:
 
     def actions_along(self, positions: FloatArray) -> IntArray:
         """Return the actions that come nearest to a trajectory, positions at ticks, n × 2, m; as φ after its end."""
-        found = np.full(self.ticks, self.as_phi, np.int64)
-        walked = self.path[:1]
+        found, walked = np.full(self.ticks, self.as_phi, np.int64), self.path[:1]
         for tick, target in enumerate(positions[1 : self.ticks + 1]):
             moves = velocities(self.scenario, self.path, tick, walked) if self.table is None else self.table[tick]
-            step = self.scenario.time_step * moves
-            if tick == len(positions) - 2:  # cut at the contact: its direction counts
-                own = target - walked[-1]
-                along = step @ own / max(float(np.hypot(*own)), ENOUGH)
-                found[tick] = int(np.argmax(along - np.abs(np.hypot(*step.T) - along)))
-            else:
-                found[tick] = int(np.argmin(np.hypot(*(walked[-1] + step - target).T)))
-            walked = np.concatenate([walked, walked[-1:] + step[found[tick]]])
+            reached = walked[-1] + self.scenario.time_step * moves
+            found[tick] = int(np.argmin(np.hypot(*(reached - target).T)))
+            walked = np.concatenate([walked, reached[found[tick], None]])
         return found
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import road_pose, road_position
-from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
 from skd_sim.world.episode import EpisodeSpec, Role, generator
 from skd_sim.world.world import first_car_state
@@ -37,7 +36,6 @@ def detour(
     users: FloatArray,
     cars: FloatArray,
     bound: float,
-    *,
     longest: int,
     first: int = 0,
 ) -> tuple[float, IntArray] | None:
@@ -49,22 +47,13 @@ def detour(
         users: places of the road user then, at ticks, n × 2, m.
         cars: pose and speed of the car then, n × 4.
         bound: only hits with less deviation count, m.
-        longest: ticks, at most, from leaving the trajectory to the hit.
+        longest: ticks, at most, from leaving the trajectory to the hit; 1 where velocities depend on the state.
         first: tick before which it is not left.
     """
-    assert space.table is not None
-    scenario: Scenario = space.scenario
-    car = scenario.car
+    scenario, car = space.scenario, space.scenario.car
+    footprint, limits = (car.front, car.rear, car.half_width), (scenario.time_step, scenario.collision.hit_speed, bound)
     deviation, tick, action, length = _best_detour(
-        (car.front, car.rear, car.half_width),
-        scenario.adversary.shape,
-        (scenario.time_step, scenario.collision.hit_speed, bound),
-        space.phi,
-        space.table,
-        users,
-        cars,
-        first,
-        longest,
+        footprint, scenario.adversary.shape, limits, space.phi, space.table_along(users), users, cars, first, longest
     )
     if tick < 0:
         return None
@@ -105,19 +94,10 @@ def _best_detour(
                 away, away_y = x - phi[tick, 0], y - phi[tick, 1]
                 away_to, away_y_to = x_to - phi[tick + 1, 0], y_to - phi[tick + 1, 1]
                 apart = math.hypot(x - cars[tick, 0], y - cars[tick, 1])
-                if apart <= size + step * (2.0 + max(cars[tick, 3], cars[tick + 1, 3]) + math.hypot(vx, vy)):
-                    share, impact = sweep(
-                        cars[tick : tick + 2],
-                        (x, y),
-                        (x_to, y_to),
-                        (vx, vy),
-                        math.atan2(vy, vx),
-                        footprint,
-                        shape,
-                        step,
-                        0,
-                        1,
-                    )
+                near = size + step * (2.0 + max(cars[tick, 3], cars[tick + 1, 3]) + math.hypot(vx, vy))
+                if apart <= near:
+                    path, heading, ends = cars[tick : tick + 2], math.atan2(vy, vx), (x_to, y_to)
+                    share, impact = sweep(path, (x, y), ends, (vx, vy), heading, footprint, shape, step, 0, 1)
                     if share <= 1.0:
                         east, north = away + share * (away_to - away), away_y + share * (away_y_to - away_y)
                         reached = max(most, math.hypot(east, north))

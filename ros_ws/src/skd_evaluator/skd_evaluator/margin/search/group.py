@@ -166,15 +166,14 @@ class Group:
             return
         if better:
             self.offer(candidate.actions, source, but=index)
-        if self._cars:
-            self._guess(proposal, log)
+        self._guess(proposal, log)
 
     def _guess(self, proposal: Proposal, log: EpisodeLog) -> None:
         """Keep the detours of least deviation from what was driven: of one tick to be driven next, and of several."""
         index, source, (actions, *_), _ = proposal
         bound = self.trials[index].least * (1.0 - _LESS)
-        for longest in (1, self._drawn(_LONGEST)):
-            found = detour(self.space, actions, log.adversary, log.car, bound, longest=longest)
+        for longest in (1, self._drawn(_LONGEST)) if self._cars else (1,):
+            found = detour(self.space, actions, log.adversary, log.car, bound, longest, 0)
             if found is None or (index, found[1].tobytes()) in self._guessed:
                 continue
             self._guessed.add((index, found[1].tobytes()))
@@ -192,7 +191,7 @@ class Group:
         if self._cars and self._rng.random() < _AIMED:
             users, longest = self.space.positions(actions[None])[0], self._drawn(_LONGEST)
             bound = self.trials[index].least * (1.0 - _LESS)
-            aimed = detour(self.space, actions, users, self._cars[index], bound, longest=longest, first=tick)
+            aimed = detour(self.space, actions, users, self._cars[index], bound, longest, tick)
             actions = actions if aimed is None else aimed[1]
         return actions
 

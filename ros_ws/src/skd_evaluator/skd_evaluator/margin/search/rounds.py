@@ -8,7 +8,7 @@ import numpy as np
 from skd_sim.controllers.isolated import isolated
 from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import Controller, is_sensing, takes_batches
-from skd_sim.world.episode import Outcome
+from skd_sim.world.episode import EpisodeSpec, Outcome
 
 from skd_evaluator.assessment.context import Progress, Runner
 from skd_evaluator.assessment.run.batches import Replay, replayed, why_not_batched
@@ -20,18 +20,20 @@ from skd_evaluator.margin.search.trial import Trial
 from skd_evaluator.metrics.deviation import Hit, hit_of
 
 LABEL = "margin"
+_TOGETHER = 3
+"""Groups whose candidates a policy that answers many episodes at once is given together."""
 SAME = 1e-4
 """m by which a hit may be elsewhere when it is driven again: the two forms of a policy may add up in another order."""
 
 
 def in_processes(runner: Workers, progress: Progress) -> Rounds:
-    """Return what searches groups of trials in several processes, one for each group."""
+    """Return what searches groups of trials in several processes, some groups at once in each."""
 
     def go_on(groups: Sequence[Group], what: str) -> list[Group]:
-        found = []
-        for count, group in enumerate(runner.map(_search, groups), start=1):
-            found.append(group)
-            progress(f"{LABEL}, {what}", count, len(groups))
+        found: list[Group] = []
+        for some in runner.map(_search, [groups[at : at + _TOGETHER] for at in range(0, len(groups), _TOGETHER)]):
+            found += some
+            progress(f"{LABEL}, {what}", len(found), len(groups))
         return found
 
     return go_on
@@ -39,7 +41,7 @@ def in_processes(runner: Workers, progress: Progress) -> Rounds:
 
 def one_by_one(groups: Sequence[Group], _what: str) -> list[Group]:
     """Search groups of trials in this process."""
-    return [_search_here(group) for group in groups]
+    return _search_here(groups)
 
 
 def by_episodes(runner: Runner, progress: Progress) -> Rounds:
@@ -53,49 +55,41 @@ def by_episodes(runner: Runner, progress: Progress) -> Rounds:
     return go_on
 
 
-def repeated(found: SearchedMargins, runner: Runner) -> tuple[int, int]:
-    """Run the best hit of each trial again; return how many there are, and how many hit in the same place again."""
-    pairs = [(hit, one) for hit, one in zip(found.hits, found.episodes, strict=True) if hit and one]
-    again = 0
-    for (hit, _), log in zip(pairs, runner.run([one for _, one in pairs]), strict=True):
-        if log.hit:
-            place = log.trajectory.positions[-1] - hit.trajectory.positions[-1]
-            again += bool(np.hypot(*place) <= SAME)
-    return len(pairs), again
+def confirmed(
+    trials: Sequence[EpisodeSpec], found: SearchedMargins, runner: Runner, within: float = SAME
+) -> list[Hit | None]:
+    """Run the best hit of each trial again, and return what it hits with then, within so many m of the place; or None.
 
-
-def confirmed(found: SearchedMargins, runner: Runner) -> list[Hit | None]:
-    """Drive the best hit of each trial again, and return what it hits with then; None: it does not.
-
-    So a hit of a car that does not repeat itself counts by its share, in the mean over trials.
+    A hit of whose second run nothing is known stays as it is.
     """
     again = iter(list(runner.run([one for hit, one in zip(found.hits, found.episodes, strict=True) if hit and one])))
     hits: list[Hit | None] = []
-    for hit, episode in zip(found.hits, found.episodes, strict=True):
-        log = next(again) if hit and episode else None
-        if log is None or log.outcome == Outcome.ABORTED:  # a kamikaze's own hit, or nothing is known of the second run
+    for trial, hit, episode in zip(trials, found.hits, found.episodes, strict=True):
+        log, phi = next(again) if hit and episode else None, trial.safe_trajectory
+        if hit is None or log is None or phi is None or log.outcome == Outcome.ABORTED:
             hits.append(hit)
+        elif log.hit and np.hypot(*(log.trajectory.positions[-1] - hit.trajectory.positions[-1])) <= within:
+            hits.append(hit_of(phi.positions, log))
         else:
-            phi = log.episode.safe_trajectory
-            hits.append(hit_of(phi.positions, log) if log.hit and phi is not None else None)
+            hits.append(None)
     return hits
 
 
-def _search(group: Group) -> Group:
-    return isolated(group.trials[0].episode.car.user_code, _search_here, group)
+def _search(groups: Sequence[Group]) -> list[Group]:
+    return isolated(groups[0].trials[0].episode.car.user_code, _search_here, groups)
 
 
-def _search_here(group: Group) -> Group:
-    first = group.trials[0].episode
+def _search_here(groups: Sequence[Group]) -> list[Group]:
+    first = groups[0].trials[0].episode
     controller = make_controller(first.controller, first.multiplier)
     together = not why_not_batched(first)
     if together and takes_batches(controller):
-        search([group], replayed)
+        search(groups, replayed)
     elif together and not is_sensing(controller):
-        search([group], replays(controller, group.trials))
+        search(groups, replays(controller, [trial for group in groups for trial in group.trials]))
     else:
-        search([group], lambda episodes: [run_episode(one, controller) for one in episodes])
-    return group
+        search(groups, lambda episodes: [run_episode(one, controller) for one in episodes])
+    return list(groups)
 
 
 def replays(controller: Controller, trials: Sequence[Trial]) -> Drive:

@@ -7,6 +7,7 @@ as deep. What is found depends on the seed alone, not on who searches or how fas
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,14 +19,14 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.candidates import ActionSpace
-from skd_evaluator.margin.search.group import OTHER, SOURCES, Group, Source
+from skd_evaluator.margin.search.group import OTHER, SOURCES, Group
 from skd_evaluator.margin.search.trial import Trial
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess, Search
 
 CHANGE: Final = 0.02
-"""Of the mean, below which it may have converged: in each of the last two doublings, and in the three beyond of trials
-that are searched deeper."""
+"""Of the mean, below which it may have converged: in the last doubling, and in the three beyond of trials that are
+searched deeper."""
 DEEPER: Final = 8
 """Times as deep some trials are searched, or all where they are few."""
 DEEP_TRIALS: Final = 20
@@ -79,6 +80,8 @@ class SearchedMargins:
     reasons: tuple[str, ...]
 
 
+KnownLogs = Mapping[int, Sequence[EpisodeLog]]
+"""What happened to kamikazes, by the id of the episode."""
 Rounds = Callable[[Sequence[Group], str], list[Group]]
 """Searches groups up to their goals, and returns them as they are then, in order; the last argument says what the round
 is for, in a progress line."""
@@ -86,15 +89,15 @@ is for, in a progress line."""
 
 def search_margins(
     episodes: Sequence[EpisodeSpec],
-    known: Mapping[int, Sequence[EpisodeLog]],
+    known: KnownLogs,
     rounds: Rounds,
     effort: Effort = IN_PROCESS,
 ) -> SearchedMargins:
     """Return the margins of trials.
 
     Args:
-        episodes: the trials: kamikaze mode, all of one car, at least one.
-        known: what happened to kamikazes in them, by the id of the episode.
+        episodes: the trials: kamikaze mode, all of one car, φ by φ, at least one.
+        known: what happened to kamikazes in them.
         rounds: searches.
         effort: how much is searched.
 
@@ -115,7 +118,7 @@ def search_margins(
         if searched.is_done:
             return searched.result(True, budget, None, means)
         last, latest = 2 * budget > limit, [mean for _, mean in means[1:]]
-        steady = searched.has_all_hits and len(latest) > 2 and all(map(_near, latest[-2:], latest[-3:-1]))
+        steady = searched.has_all_hits and len(latest) > 2 and _near(latest[-1], latest[-2])
         good = False
         if few:
             excess = _excess(before - searched.margins)
@@ -169,8 +172,8 @@ def margins_with_other_hits(
     Raises:
         AssessmentError: the car fails.
     """
-    searched = _Search(episodes, {}, rounds, 0)
-    searched.begin_with(known, hits)
+    searched = _Search(episodes, {number: [log] for number, log in known.items()}, rounds, 0)
+    searched.offer(hits)
     searched.round(0)
     return searched.margins
 
@@ -186,37 +189,28 @@ class _Search:
         excursions: int,
     ) -> None:
         self._rounds = rounds
-        order: dict[tuple[int, bytes], list[EpisodeSpec]] = {}
-        for episode in episodes:
-            assert episode.safe_trajectory is not None
-            number, path = episode.episode_id >> 32, episode.safe_trajectory.positions.tobytes()
-            order.setdefault((number, path), []).append(episode)
-        self._groups = [Group(group, excursions) for group in order.values()]
-        self._place = [episode.episode_id for episode in episodes]
+        groups = itertools.groupby(episodes, key=lambda one: one.episode_id >> 32)
+        self._groups = [Group(list(group), excursions) for _, group in groups]
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(episodes[0].seed)))
         for group in self._groups:
             for trial in group.trials:
                 for log in known.get(trial.episode.episode_id, ()):
                     trial.learn(None, log)
                     if log.hit:
-                        group.offer(group.space.actions_along(log.trajectory.positions), OTHER)
+                        group.offer(group.space.actions_along(log.adversary), OTHER)
 
     @property
     def _trials(self) -> list[Trial]:
         return [trial for group in self._groups for trial in group.trials]
 
-    def begin_with(self, known: Mapping[int, EpisodeLog], hits: Sequence[OtherHit]) -> None:
-        """Take the best hit of each trial, by the id of its episode, and offer hits of others, best first."""
-        for trial in self._trials:
-            if trial.episode.episode_id in known:
-                trial.learn(None, known[trial.episode.episode_id])
+    def offer(self, hits: Sequence[OtherHit]) -> None:
+        """Offer hits of others, best first."""
         spaces = {one.space.path.tobytes(): one.space for one in self._groups}
         offers: dict[bytes, list[IntArray]] = {}
         for safe, positions in hits:
             path = np.ascontiguousarray(safe).tobytes()
             space = spaces.setdefault(path, ActionSpace(self._groups[0].space.scenario, safe))
-            stays = np.concatenate([positions, positions[-1:]])  # so that the tick of the contact counts in full
-            offers.setdefault(path, []).append(space.actions_along(stays))
+            offers.setdefault(path, []).append(space.actions_along(positions))
         firsts = [of_path[0] for of_path in offers.values()]
         for group in self._groups:
             for actions in reversed(offers.get(group.space.path.tobytes(), firsts)):  # the last offer is tried first
@@ -225,8 +219,7 @@ class _Search:
     @property
     def margins(self) -> FloatArray:
         """The margin of each trial, m, in the order of the episodes; η_max where no hit was found."""
-        trials = {trial.episode.episode_id: trial.least for trial in self._trials}
-        return np.array([trials[one] for one in self._place])
+        return np.array([trial.least for trial in self._trials])
 
     @property
     def mean(self) -> float:
@@ -275,7 +268,7 @@ class _Search:
         before = self.margins
         deep = np.zeros(len(before), dtype=bool)
         deep[self._rng.permutation(len(before))[:DEEP_TRIALS]] = True
-        self.round(budget, {number for number, is_deep in zip(self._place, deep, strict=True) if is_deep})
+        self.round(budget, {trial.episode.episode_id for trial in itertools.compress(self._trials, deep)})
         self.round(budget)
         gains = before - self.margins
         # What deeper search brought was tried in the rest, too: what that did not bring there is still missing.
@@ -286,22 +279,17 @@ class _Search:
         self, converged: bool, budget: int, excess: Excess | None, means: Sequence[tuple[int, float]]
     ) -> SearchedMargins:
         """Return what was found."""
-        trials = {trial.episode.episode_id: trial for trial in self._trials}
-        found = [trials[one] for one in self._place]
-        sources = tuple({"source": source, **_sum([one.sources[source] for one in self._groups])} for source in SOURCES)
+        found, sources = self._trials, []
+        for name in SOURCES:
+            each = [group.sources[name] for group in self._groups]
+            hits, lowered = sum(one.hits for one in each), math.fsum(one.lowered for one in each)
+            used = sum(one.candidates for one in each)
+            sources.append({"source": name, "candidates": used, "hits": hits, "lowered": lowered})
         return SearchedMargins(
             [one.best for one in found],
             [one.hit for one in found],
-            Search(budget, converged, excess, sources),
+            Search(budget, converged, excess, tuple(sources)),
             tuple(means),
             sum(trial.driven for trial in found),
             tuple(reason for group in self._groups for reason in group.reasons),
         )
-
-
-def _sum(brought: Sequence[Source]) -> dict[str, int | float]:
-    return {
-        "candidates": sum(one.candidates for one in brought),
-        "hits": sum(one.hits for one in brought),
-        "lowered": math.fsum(one.lowered for one in brought),
-    }
