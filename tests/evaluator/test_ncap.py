@@ -112,7 +112,8 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
     assert cell.margin is not None
     assert 0.95 * beside < cell.margin < beside + 0.1
     assert cell.braking_ttc == pytest.approx(4.65, abs=1e-6)  # at once, with the front that far from the target
-    assert "1 of 1 test is green, 1 with a margin below 0.5 m: the least is 0.18 m, at 30 km/h, 90 %." in done.stdout
+    least = r"the least is ≤?0\.18 m, at 30 km/h, 90 %\."  # the search may need more candidates than it is given
+    assert re.search(rf"1 of 1 test is green, 1 with a margin below 0\.5 m: {least}", done.stdout)
     assert 'class="green narrow"' in (cars / "out" / "ncap.html").read_text("utf-8")
 
 
