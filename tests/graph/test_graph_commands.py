@@ -48,7 +48,7 @@ def test_all_aborted(tmp_path: Path, safe: Path) -> None:
     finished = assess(tmp_path, safe, "--adversary-model", "generic", "--controller", "misbehaving:NeverWell")
     assert finished.code == 1
     first, *lost, undefined, aborted, log = finished.timeless
-    assert [line.partition(" were aborted and count for nothing; no other")[1] != "" for line in lost] == [True] * 3
+    assert sum(" were aborted and count for nothing; no other" in line for line in lost) == 3
     reason = "not a finite number: the car controller commanded nan"
     assert undefined == f"skd assess: every kamikaze episode was aborted ({reason}); SKD is not defined"
     assert aborted.endswith(f"10 of 10 episodes were aborted, more than --max-aborted 5 %; 10 of them: {reason}")
