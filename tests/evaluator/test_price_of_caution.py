@@ -12,7 +12,13 @@ from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, why_no_price
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.metrics.price_of_caution import HORIZON, HarmlessRun, PriceOfCaution, stratified_interval
+from skd_evaluator.metrics.price_of_caution import (
+    HORIZON,
+    HarmlessRun,
+    PriceOfCaution,
+    keeps_out,
+    stratified_interval,
+)
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
@@ -186,3 +192,9 @@ def test_intervals_of_the_time_lost_hold_the_mean() -> None:
 def test_who_never_gets_past_counts_the_whole_horizon() -> None:
     runs = PriceOfCaution((HarmlessRun("waits", HORIZON, 6.0, 5.5, True),) * 10)
     assert (runs.time_lost, runs.deadlock, runs.slow) == (24.0, 1.0, 0.5)
+
+
+def test_only_a_lower_end_above_five_percent_says_that_a_car_does_not_get_past() -> None:
+    assert keeps_out({"deadlock_ci95": (0.06, 0.2)})
+    assert not keeps_out({"deadlock_ci95": (0.04, 0.2)})
+    assert not keeps_out({"deadlock_ci95": None})

@@ -131,6 +131,12 @@ def stored_price(figures: Mapping[str, Any]) -> PriceOfCaution | None:
     return entry and PriceOfCaution(tuple(HarmlessRun(**one) for one in entry["runs"]), entry["aborted"])
 
 
+def keeps_out(figures: Mapping[str, Any]) -> bool:
+    """Return whether a car surely does not get past people, by the figures of its assessment; see `DEADLOCK`."""
+    interval = figures.get("deadlock_ci95")
+    return interval is not None and interval[0] > DEADLOCK
+
+
 def stratified_interval(kinds: Sequence[str], values: FloatArray) -> Interval | None:
     """Return the 95 % interval of a mean over strata, each with the share that it has of the values.
 

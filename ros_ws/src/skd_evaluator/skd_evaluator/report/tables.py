@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
-from skd_evaluator.metrics.price_of_caution import DEADLOCK
+from skd_evaluator.metrics.price_of_caution import keeps_out
 from skd_evaluator.report.formats import BARE, TERMINAL
 from skd_evaluator.report.terminal import bounded_cell, credibility, narrow_table
 
@@ -17,9 +17,10 @@ _number, _interval = TERMINAL.number, TERMINAL.interval
 
 
 def credibility_mark(row: Mapping[str, Any]) -> str:
-    """Return what stands behind the name of a car whose figures are not credible."""
+    """Return what stands behind the name of a car that is not credible, or does not get past people."""
     said = credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
-    return f", [red]{said}[/]" if said else ""
+    marks = [*([said] if said else []), *(["does not get past people"] if keeps_out(row) else [])]
+    return f", [red]{'; '.join(marks)}[/]" if marks else ""
 
 
 def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
@@ -42,14 +43,9 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
             _number(row.get("time_lost"), 1),
             bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
         ]
-        for row in (sorted(rows, key=_rank(ranked_by)) if ranked_by else rows)
+        for row in (sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows)
     ]
     return narrow_table(f"Side by side{order}", heads, cells)
-
-
-def _rank(ranked_by: str) -> Callable[[Mapping[str, Any]], tuple[bool, float]]:
-    """Return the order of cars: a greater figure is safer, but not of a car that does not get past people."""
-    return lambda row: ((row.get("deadlock_ci95") or (0.0,))[0] <= DEADLOCK, float(row[ranked_by]))
 
 
 _RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deviation")}

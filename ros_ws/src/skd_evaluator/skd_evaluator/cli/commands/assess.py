@@ -184,7 +184,8 @@ def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
     steps = ["learning the car"] if needs_learning(plan) else []
     steps += ["safe trajectories"] if plan.safe in GENERATED else []
     steps += ["kamikazes", "nominal runs", *(["margin"] if request["margin_limit"] else [])]
-    return [*steps, *(["risk"] if request["risk"].behaviour is not None else [])]
+    steps += ["risk"] if request["risk"].behaviour is not None else []
+    return [*steps, "price of caution"]
 
 
 def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:

@@ -10,6 +10,7 @@ from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
+from skd_evaluator.metrics.price_of_caution import keeps_out
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import (
     NOTHING,
@@ -101,6 +102,11 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
     return found
 
 
+def _bounded(one: Subject, key: str) -> str:
+    text = number(one.figures[key], 2, "m")
+    return bounded(one.figures, text) if key == "margin" else text
+
+
 def _ranking(members: Sequence[Subject], key: str) -> str:
     name = AT_THE_TOP[key].label
     ordered = sorted(members, key=lambda one: float(one.figures[key]))
@@ -111,10 +117,11 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         if _overlap(low.figures[f"{key}_ci95"], high.figures[f"{key}_ci95"])
     ]
     text = (
-        f"Of {counted(len(members), 'assessment')} over the same φ, {last.label} is the safest by {name} "
-        f"({number(last.figures[key], 2, 'm')}) and {first.label} the most vulnerable "
-        f"({number(first.figures[key], 2, 'm')})."
+        f"Of {counted(len(members), 'assessment')} over the same φ, {last.label} has the greatest {name} "
+        f"({_bounded(last, key)}) and {first.label} the least ({_bounded(first, key)})."
     )
+    if out := [one.label for one in members if keeps_out(one.figures)]:
+        text += f" Not called safer, for they do not get past people: {', '.join(out)}."
     known = all(one.figures[f"{key}_ci95"] for one in members)
     if close and len(members) == 2:
         text += f" Their intervals by φ {'overlap' if known else 'are not known'}; skd compare judges such pairs."
