@@ -281,7 +281,7 @@ FIGURES = (
     Figure("risk_note", TEXT, lambda a: a.risk_note, "why the risk is not known", recomputed=False, campaign=29),
     Figure("time_lost", TIME, lambda p: p.time_lost,
            "mean time that the car loses on a road user who is in nobody's way, s", _PRICE,
-           "price of caution, time lost", _LESS, independent=CI95, plain=lambda p: p.time_lost_ci95,
+           "price of caution", _LESS, independent=CI95, plain=lambda p: p.time_lost_ci95,
            recomputed=False, summary=14, first=True, campaign=30, compare=28, junit=13),
     Figure("deadlock", SHARE, lambda p: p.deadlock,
            "share of these runs in which the car has not got past after 30 s", _PRICE, "does not get past", _LESS,

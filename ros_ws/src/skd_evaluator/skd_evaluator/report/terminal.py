@@ -119,7 +119,7 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
     if key == "nominal_collision_rate":
         return f", {counted(result['collision_runs'], 'run')}"
     if key == "time_lost" and result["deadlock"]:
-        return f", [red]does not get past in {_percent(result['deadlock'])}[/]"
+        return f", [red]{_percent(result['deadlock'])} never pass[/]"
     return ", people as they walk" if key == "risk_1" else ""
 
 
