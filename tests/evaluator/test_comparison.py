@@ -19,6 +19,7 @@ from skd_evaluator.assessment.compare.comparison import (
 )
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
+from skd_evaluator.metrics.price_of_caution import HORIZON, HarmlessRun, PriceOfCaution
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
 
@@ -276,3 +277,33 @@ def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict(changes:
         "planned figures are not compared", "no margin of b (no car to ask)",
     ]  # fmt: skip
     assert found.lines()[1].endswith("not judged")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "verdict"),
+    [
+        ((1.0, 6.0), (2.0, 6.0), "safer"),
+        ((1.0, 6.0), (2.0, 10.7), "safer at the price of 4.7 s for each harmless road user"),
+        ((2.0, 10.7), (1.0, 6.0), "less safe, and 4.7 s quicker for each harmless road user"),
+        ((1.0, 10.7), (2.0, 6.0), "safer"),
+        ((1.0, 6.0), (2.0, HORIZON), "leaves room only because it does not get past people"),
+        ((2.0, HORIZON), (1.0, 6.0), "less safe, and 24.0 s quicker for each harmless road user"),
+        ((1.0, HORIZON), (2.0, HORIZON), "safer"),
+    ],
+)
+def test_the_verdict_names_the_price(first: tuple[float, float], second: tuple[float, float], verdict: str) -> None:
+    found = []
+    for margin, passed in (first, second):
+        runs = tuple(HarmlessRun("waits", passed, 6.0, 5.5, braked=False) for _ in range(60))
+        price = PriceOfCaution(runs).as_dict()
+        found.append(result(str(margin), values(1, shift=margin), price_of_caution=price))
+    assert compare(*found).verdict == verdict
+
+
+def test_an_upper_bound_of_a_car_that_does_not_get_past_is_no_safety() -> None:
+    stuck = PriceOfCaution((HarmlessRun("waits", HORIZON, 6.0, 5.5, braked=True),) * 60).as_dict()
+    quick = PriceOfCaution((HarmlessRun("waits", 6.0, 6.0, 5.5, braked=False),) * 60).as_dict()
+    one = result("a", values(1, shift=3.0), price_of_caution=stuck, margin_converged=False)
+    other = result("b", values(1), price_of_caution=quick, margin_converged=False)
+    assert compare(other, one).verdict == "leaves room only because it does not get past people"
+    assert compare(one, other).verdict == "the other leaves room only because it does not get past people"

@@ -93,13 +93,10 @@ class Comparison:
         judge = self.judged_by
         if judge is None:
             return NOT_COMPARED
-        if self._keeps_out:
-            return self._keeps_out
         says = set(self._sure.values())
-        if self.disagree or len(says) != 1 or self.opposed:
-            return INCONCLUSIVE
-        said = says.pop()
-        return INCONCLUSIVE if self.is_bound[said > 0] else self._priced(said)
+        if self.disagree or len(says) != 1 or self.opposed or self.is_bound[(said := says.pop()) > 0]:
+            return self._keeps_out or INCONCLUSIVE
+        return self._keeps_out if said > 0 and self._keeps_out else self._priced(said)
 
     def _priced(self, said: int) -> str:
         """Return the verdict that the second car is safer (1) or less safe (−1), with what that costs."""
