@@ -280,7 +280,7 @@ FIGURES = (
            "by which behaviour model, and how it was estimated", _RISK),
     Figure("risk_note", TEXT, lambda a: a.risk_note, "why the risk is not known", recomputed=False, campaign=29),
     Figure("time_lost", TIME, lambda p: p.time_lost,
-           "mean time that the car loses on a road user who is in nobody's way, s", _PRICE,
+           "mean time that the car loses on a road user who is not in its path, s", _PRICE,
            "price of caution", _LESS, independent=CI95, plain=lambda p: p.time_lost_ci95,
            recomputed=False, summary=14, first=True, campaign=30, compare=28, junit=13),
     Figure("deadlock", SHARE, lambda p: p.deadlock,

@@ -1,6 +1,6 @@
 """The price of caution: what a car's safety costs where nothing has to be avoided.
 
-A car that stops for everybody is hit by nobody. So it drives past road users who are in nobody's way, each time with
+A car that always stops never hits. So it drives past road users who are not in its path, each time with
 the draws of a drive that has the road to itself, and what the two differ by is the price.
 """
 
@@ -29,7 +29,7 @@ DEADLOCK: Final = 0.05
 
 
 class HarmlessRun(NamedTuple):
-    """A drive past a road user who is in nobody's way, beside the same drive with the road to itself.
+    """A drive past a road user who is not in the car's path, beside the same drive with the road to itself.
 
     Attributes:
         kind: what the road user does.
@@ -86,7 +86,7 @@ class PriceOfCaution:
 
     @property
     def needless(self) -> float:
-        """Share of the runs in which the car brakes hard for a road user who is in nobody's way."""
+        """Share of the runs in which the car brakes hard for a road user who is not in its path."""
         return sum(one.braked for one in self.runs) / len(self.runs)
 
     @property

@@ -90,7 +90,7 @@ def warnings(car: str, price: PriceOfCaution) -> tuple[str, ...]:
     if not price.does_not_get_past:
         return ()
     return (
-        f"{car} does not get past people who are in nobody's way in {price.deadlocks} of {len(price.runs)} runs of "
+        f"{car} does not get past people who are not in its path in {price.deadlocks} of {len(price.runs)} runs of "
         f"{HORIZON:g} s: the room that it leaves may be due to that",
     )
 
@@ -108,8 +108,9 @@ def price_of_caution(plan: Plan, safe: Sequence[Trajectory], runner: Runner, cou
         AssessmentError: the car fails.
     """
     scenario, line = _scenario(plan.scenario), plan.scenario.road.line
-    nobody = Trajectory(beside_road(line, np.tile(_NOWHERE, (scenario.ticks + 1, 1))), scenario.time_step, "nobody")
-    undisturbed = _drive(runner, [_episode(plan, scenario, number, nobody) for number in range(count)])
+    away = np.tile(_NOWHERE, (scenario.ticks + 1, 1))
+    empty = Trajectory(beside_road(line, away), scenario.time_step, "empty road")
+    undisturbed = _drive(runner, [_episode(plan, scenario, number, empty) for number in range(count)])
     crossing = [one for one in safe if _crosses(scenario, one)]
     kinds = KINDS if crossing else KINDS[:3]
     ways = [
@@ -163,11 +164,11 @@ def _episode(plan: Plan, scenario: Scenario, number: int, trajectory: Trajectory
     )
 
 
-# --- who is in nobody's way
+# --- harmless road users
 
 
 def harmless_trajectory(scenario: Scenario, kind: str, alone: EpisodeLog, safe: Sequence[Trajectory]) -> Trajectory:
-    """Return what a road user does who is in nobody's way.
+    """Return the trajectory of a road user who is not in the car's path.
 
     Args:
         scenario: the scenario of the run.
