@@ -8,6 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from skd_evaluator.assessment.compare.comparison import EACH
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.price_of_caution import keeps_out
 from skd_evaluator.report.formats import BARE, TERMINAL
@@ -63,7 +64,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
             figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _interval(found["interval"])]
             figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
-        verdict = f"[bold]{entry['verdict']}[/]{_disagreement(entry['differences'])}"
+        verdict = f"[bold]{entry['verdict'].removesuffix(EACH)}[/]{_disagreement(entry['differences'])}"
         cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
     return narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %", heads, cells)
 

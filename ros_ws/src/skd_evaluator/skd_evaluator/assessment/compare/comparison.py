@@ -43,6 +43,7 @@ from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
 
 SAFER, LESS_SAFE, INCONCLUSIVE, NOT_COMPARED = "safer", "less safe", "inconclusive", "not compared"
+EACH = " for each harmless road user"
 KEEPS_OUT = "leaves room only because it does not get past people"
 MARGIN, DEVIATION = "margin", "deviation"
 RANKING_RISK = f"risk_{RANKS:g}"
@@ -104,8 +105,8 @@ class Comparison:
         if cost is None or said * cost.direction <= 0:
             return _VERDICTS[said]
         if said > 0:
-            return f"{SAFER} at the price of {cost.value:.1f} s for each harmless road user"
-        return f"{LESS_SAFE}, and {-cost.value:.1f} s quicker for each harmless road user"
+            return f"{SAFER} at the price of {cost.value:.1f} s{EACH}"
+        return f"{LESS_SAFE}, and {-cost.value:.1f} s quicker{EACH}"
 
     @property
     def _keeps_out(self) -> str:
