@@ -16,7 +16,7 @@ from itertools import chain
 import numpy as np
 from cars.catalogue import Car
 from contacts import Run, counted, run_of
-from skd_evaluator.assessment.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim.world.episode import EpisodeSpec, Mode
@@ -140,7 +140,7 @@ def scenarios(
             change=change,
             pause=pause,
         )
-        number = episode_id(Stage.NOMINAL, run % len(safe), run // len(safe))
+        number = episode_id(EpisodeGroup.NOMINAL, run % len(safe), run // len(safe))
         found.append(
             EpisodeSpec(scenario, Mode.REPLAY, seed, number, path, controller=car.controller, multiplier=car.multiplier)
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_evaluator.assessment.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.deviation import Hit
@@ -31,7 +31,7 @@ def kamikaze_episode(
         scenario,
         Mode.KAMIKAZE,
         seed,
-        episode_id(Stage.KAMIKAZE, 0, number),
+        episode_id(EpisodeGroup.KAMIKAZE, 0, number),
         multiplier=multiplier,
         safe_trajectory=Trajectory(np.array(points, dtype=float), TIME_STEP),
         simulations=simulations,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import command_age, missed_periods, standing_contacts
-from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
@@ -81,7 +81,7 @@ def test_who_walks_into_a_standing_car_is_counted_apart() -> None:
         def run(self, episodes):
             for log in super().run(episodes):
                 stage, _, number = split_episode_id(log.episode.episode_id)
-                slow = number < (1 if stage == Stage.KAMIKAZE else 2)
+                slow = number < (1 if stage == EpisodeGroup.KAMIKAZE else 2)
                 yield replace(log, impact_speed=0.05) if slow else log
 
     found = rate(PLAN, (DEVIATION, PAPER), [straight()], Standing(lambda _episode: Outcome.COLLISION))

@@ -15,7 +15,7 @@ from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.options import SYNTHETIC
-from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, Stage, episode_id, runs_along
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, EpisodeGroup, Plan, episode_id, runs_along
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
@@ -156,7 +156,7 @@ def test_walkers_are_as_many_different_safe_crossings_as_are_asked_for(name):
         arrived = [end.arrived(x, y) for x, y in phi.positions.tolist()]
         assert arrived == [False] * (len(phi) - 1) + [True]
     # nobody is hit by the paper's safest car under the draws with which the crossing was found
-    numbers = [episode_id(Stage.SAFE, 0, int(phi.name.removeprefix("walkers/"))) for phi in safe]
+    numbers = [episode_id(EpisodeGroup.SAFE, 0, int(phi.name.removeprefix("walkers/"))) for phi in safe]
     along = [
         EpisodeSpec(plan.scenario, Mode.REPLAY, 4, number, safe_trajectory=phi, multiplier=1.15)
         for number, phi in zip(numbers, safe, strict=True)
@@ -182,12 +182,12 @@ def test_recorded_trajectory_that_starts_in_the_car_is_refused(tmp_path):
 
 
 def test_episode_ids_are_unique_and_bounded():
-    ids = {episode_id(stage, phi, k) for stage in Stage for phi in (0, 1, 65535) for k in (0, 1, 2**32 - 1)}
-    assert len(ids) == 9 * len(Stage)
+    ids = {episode_id(stage, phi, k) for stage in EpisodeGroup for phi in (0, 1, 65535) for k in (0, 1, 2**32 - 1)}
+    assert len(ids) == 9 * len(EpisodeGroup)
     assert max(ids) < 2**63
     for safe_index, number in ((-1, 0), (65536, 0), (0, -1), (0, 2**32)):
         with pytest.raises(ValueError, match="out of range"):
-            episode_id(Stage.KAMIKAZE, safe_index, number)
+            episode_id(EpisodeGroup.KAMIKAZE, safe_index, number)
 
 
 # --- the same seed

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from search_support import CROSSING, TIME_STEP, bent, kamikaze_episode
 from skd_evaluator import assess
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import minimal_deviations
@@ -98,7 +98,7 @@ def found(margins: SearchedMargins) -> float:
 def episodes(multiplier: float, count: int = 3) -> list[EpisodeSpec]:
     """Return trials of one φ."""
     first = kamikaze_episode(POINTS, 40, multiplier)
-    return [replace(first, episode_id=episode_id(Stage.KAMIKAZE, 0, number)) for number in range(count)]
+    return [replace(first, episode_id=episode_id(EpisodeGroup.KAMIKAZE, 0, number)) for number in range(count)]
 
 
 def short(number: int, ticks: int, control_period: float | None = None) -> EpisodeSpec:

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from cli_support import one_line, skd
 from search_support import search_margin
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
@@ -47,7 +47,7 @@ def episodes(scenario: Scenario, count: int, **further: object) -> list[EpisodeS
     phi = Trajectory(np.array([(-3.5 + 0.75 * k, 0.0) for k in range(9)]), scenario.time_step, "straight")
     return [
         replace(
-            EpisodeSpec(scenario, Mode.KAMIKAZE, 3, episode_id(Stage.KAMIKAZE, 0, number), safe_trajectory=phi),
+            EpisodeSpec(scenario, Mode.KAMIKAZE, 3, episode_id(EpisodeGroup.KAMIKAZE, 0, number), safe_trajectory=phi),
             **further,
         )
         for number in range(count)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, why_no_price
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
@@ -16,7 +16,7 @@ from skd_evaluator.metrics.price_of_caution import (
     HORIZON,
     HarmlessRun,
     PriceOfCaution,
-    keeps_out,
+    does_not_get_past,
     stratified_interval,
 )
 from skd_sim.scenario.road import right_and_along
@@ -127,7 +127,7 @@ def test_who_crosses_is_clear_of_the_undisturbed_car(cars: Path, scenario: str) 
     found = price_of(f"{cars}:Never", scenario, runner)
     assert not any(one.braked for one in found.runs)
     assert found.time_lost == pytest.approx(0.0, abs=1e-12)  # nobody was hit
-    logs = [log for log in runner.logs if split_episode_id(log.episode.episode_id)[0] == Stage.PRICE]
+    logs = [log for log in runner.logs if split_episode_id(log.episode.episode_id)[0] == EpisodeGroup.PRICE]
     undisturbed, harmless = logs[:COUNT], logs[COUNT:]
     for alone, log in zip(undisturbed, harmless, strict=True):
         assert np.array_equal(alone.car[: len(log.car)], log.car[: len(alone.car)])
@@ -151,7 +151,7 @@ def test_one_worker_or_two_give_the_same_price(cars: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scenario", "repeats", "said"), [("ccrs", True, "pedestrians and cyclists"), ("crossing", False, "in lockstep")]
+    ("scenario", "repeats", "said"), [("ccrs", True, "on foot, bicycle or scooter"), ("crossing", False, "in lockstep")]
 )
 def test_why_there_is_no_price(scenario: str, repeats: bool, said: str) -> None:
     assert said in why_no_price(Plan(scenario=load_scenario(scenario)), repeats=repeats)
@@ -195,6 +195,6 @@ def test_who_never_gets_past_counts_the_whole_horizon() -> None:
 
 
 def test_only_a_lower_end_above_five_percent_says_that_a_car_does_not_get_past() -> None:
-    assert keeps_out({"deadlock_ci95": (0.06, 0.2)})
-    assert not keeps_out({"deadlock_ci95": (0.04, 0.2)})
-    assert not keeps_out({"deadlock_ci95": None})
+    assert does_not_get_past({"deadlock_ci95": (0.06, 0.2)})
+    assert not does_not_get_past({"deadlock_ci95": (0.04, 0.2)})
+    assert not does_not_get_past({"deadlock_ci95": None})

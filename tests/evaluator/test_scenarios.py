@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 from skd_adversary.safe_trajectories.sources import read_csv_trajectory
-from skd_evaluator.assessment.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.assessment.plausibility import ROUNDING, examine, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.actions import has_exact_margin
@@ -35,7 +35,7 @@ def across(scenario: Scenario, speed: float = 2.5) -> Trajectory:
 
 def replays(scenario: Scenario, count: int, *, controller: str = "basic", C: float = 1.0) -> list[EpisodeLog]:
     phi = across(scenario)
-    numbers = [episode_id(Stage.NOMINAL, 0, trial) for trial in range(count)]
+    numbers = [episode_id(EpisodeGroup.NOMINAL, 0, trial) for trial in range(count)]
     return [
         run_episode(
             EpisodeSpec(scenario, Mode.REPLAY, 0, number, controller=controller, multiplier=C, safe_trajectory=phi)

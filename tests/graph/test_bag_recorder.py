@@ -12,7 +12,7 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from skd_evaluator.assessment.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted
 from skd_evaluator.ros.recording import BagRecorder
 from skd_msgs.msg import Episode as EpisodeMsg
@@ -82,8 +82,8 @@ def test_an_episode_that_is_run_again_has_one_bag(tmp_path: Path) -> None:
     recorder = made(tmp_path, patience=0.0)
     scenario = load_scenario("crossing")
     phi = Trajectory(np.zeros((4, 2)), scenario.time_step)
-    episode = EpisodeSpec(scenario, Mode.REPLAY, 0, episode_id(Stage.NOMINAL, 0, 1), phi)
-    way = dataclasses.replace(episode, episode_id=episode_id(Stage.RISK, 0, 1))
+    episode = EpisodeSpec(scenario, Mode.REPLAY, 0, episode_id(EpisodeGroup.NOMINAL, 0, 1), phi)
+    way = dataclasses.replace(episode, episode_id=episode_id(EpisodeGroup.RISK, 0, 1))
     assert recorder.takes(episode)
     assert not recorder.takes(way)
     log = aborted(episode, "no reason")

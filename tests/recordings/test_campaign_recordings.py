@@ -19,7 +19,7 @@ from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.objective_result import kamikaze_set
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.car_model import own_trials
 from skd_evaluator.bags.checks import missing_episodes
@@ -112,7 +112,7 @@ def _trials(log: EpisodeLog) -> list[EpisodeSpec]:
 
 def test_each_has_a_bag_of_its_own(logs: list[EpisodeLog]) -> None:
     trials = _trials(logs[0])
-    assert trials[0].episode_id == trials[2].episode_id == episode_id(Stage.LEARNING, 0, 100)
+    assert trials[0].episode_id == trials[2].episode_id == episode_id(EpisodeGroup.LEARNING, 0, 100)
     episodes = [*trials, *(log.episode for log in logs)]
     assert len({bag_name(one) for one in episodes}) == len(episodes)
 
@@ -152,7 +152,7 @@ def _told(announced: list[int]) -> list[str]:
 @given(_numbered)
 def test_runs_are_missing_where_a_full_campaign_would_have_them(runs: set[tuple[int, int]]) -> None:
     """Said just where the runs are not all that some campaign has, which deals them out in turns."""
-    lines = _told([episode_id(Stage.NOMINAL, index, run) for index, run in runs])
+    lines = _told([episode_id(EpisodeGroup.NOMINAL, index, run) for index, run in runs])
     safe = max((index for index, _ in runs), default=-1) + 1
     dealt = {(number % safe, number // safe) for number in range(len(runs))} if safe else set()
     assert bool(lines) == (runs != dealt)

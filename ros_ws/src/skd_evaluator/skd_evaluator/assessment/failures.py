@@ -27,7 +27,7 @@ from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Role, generator
 
-from skd_evaluator.assessment.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES, OF_PERSON, OF_TICK, normals_of, smooth, walked
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 
@@ -145,7 +145,7 @@ class Walkers:
 
     def normals(self, row: int) -> FloatArray:
         """Return the standard normals of the walker of a crossing; φ take turns."""
-        number = episode_id(Stage.RISK, row % len(self.safe), row // len(self.safe))
+        number = episode_id(EpisodeGroup.RISK, row % len(self.safe), row // len(self.safe))
         return generator(self.seed, number, Role.WALKER).standard_normal(normals_of(self.scenario.ticks))
 
     def track(self, row: int, normals: FloatArray, scale: float) -> FloatArray:

@@ -38,7 +38,7 @@ TRIALS_PER_REQUESTED = 2
 """Cap on kamikaze episodes per wanted kamikaze trajectory."""
 
 
-class Stage(IntEnum):
+class EpisodeGroup(IntEnum):
     """Part of a campaign. Values enter the episode id and so every draw: never renumber."""
 
     SAFE = 0
@@ -50,26 +50,26 @@ class Stage(IntEnum):
     PRICE = 6
 
 
-STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.NOMINAL}
+GROUPS = {Mode.SAFE: EpisodeGroup.SAFE, Mode.KAMIKAZE: EpisodeGroup.KAMIKAZE, Mode.REPLAY: EpisodeGroup.NOMINAL}
 
 
-def episode_id(stage: Stage, safe_index: int, trial: int) -> int:
+def episode_id(stage: EpisodeGroup, safe_index: int, trial: int) -> int:
     """Return the id, unique within a campaign and the same for every car, of an episode."""
     if not (0 <= safe_index < 1 << 16 and 0 <= trial < 1 << 32):
         raise ValueError(f"out of range: safe_index {safe_index}, trial {trial}")
     return int(stage) << 48 | safe_index << 32 | trial
 
 
-def split_episode_id(number: int) -> tuple[Stage, int, int]:
+def split_episode_id(number: int) -> tuple[EpisodeGroup, int, int]:
     """Return (stage, safe_index, trial) of an id made by `episode_id`.
 
     Raises:
         UsageError: it was not made by it.
     """
     stage = number >> 48
-    if stage not in tuple(Stage):
+    if stage not in tuple(EpisodeGroup):
         raise UsageError(f"episode id {number} is not of an SKD campaign")
-    return Stage(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
+    return EpisodeGroup(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
 
 
 def model_digest(number: int, car_model: str) -> str:
@@ -79,13 +79,13 @@ def model_digest(number: int, car_model: str) -> str:
         number: id of a kamikaze, of whatever campaign.
         car_model: the model of the car that its episode carries.
     """
-    return hashlib.sha256(car_model.encode()).hexdigest()[:8] if number >> 48 == Stage.LEARNING else ""
+    return hashlib.sha256(car_model.encode()).hexdigest()[:8] if number >> 48 == EpisodeGroup.LEARNING else ""
 
 
 def follows_other_trajectory(episode: EpisodeSpec) -> bool:
     """Return whether the road user follows no φ, but a trajectory of the margin, the risk or the price of caution."""
     stage = split_episode_id(episode.episode_id)[0]
-    return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK, Stage.PRICE)
+    return episode.mode == Mode.REPLAY and stage in (EpisodeGroup.KAMIKAZE, EpisodeGroup.RISK, EpisodeGroup.PRICE)
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Plan(CampaignOptions):
             self.scenario,
             mode,
             self.seed,
-            episode_id(STAGES[mode], safe_index, trial),
+            episode_id(GROUPS[mode], safe_index, trial),
             safe_trajectory=safe,
             **shared_options(self),
         )
@@ -245,7 +245,7 @@ def probe_episodes(
     car: dict[str, Any] = {"controller": controller, "multiplier": multiplier}
     episodes = []
     for index in range(count):
-        number = episode_id(Stage.PROBE, 0, index)
+        number = episode_id(EpisodeGroup.PROBE, 0, index)
         trajectory = probed(seen, seed, number)
         episodes.append(EpisodeSpec(seen, Mode.REPLAY, seed, number, trajectory, public=clocked, **car))
     return episodes

@@ -20,7 +20,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes
 from skd_evaluator.assessment.files.episodes_npz import read_episodes as read_arrays
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.assessment.plan import Stage, probed, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, probed, split_episode_id
 from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, not_credible_beside
 from skd_evaluator.bags.files import holds_recordings, is_recording
 from skd_evaluator.bags.read import read_episodes
@@ -155,7 +155,7 @@ def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], car: 
     """Return the specification of an episode, as far as it decides what can have happened."""
     number, objective = int(stored.episode_id[row]), str(stored.objective[row])
     stage, index, _ = split_episode_id(number)
-    if stage != Stage.PROBE and index >= len(safe):
+    if stage != EpisodeGroup.PROBE and index >= len(safe):
         raise UsageError(
             f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}, numbered from 0"
         )
@@ -163,6 +163,6 @@ def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], car: 
         car,
         mode=Mode(int(stored.mode[row])),
         episode_id=number,
-        safe_trajectory=probed(car.scenario, car.seed, number) if stage == Stage.PROBE else safe[index],
+        safe_trajectory=probed(car.scenario, car.seed, number) if stage == EpisodeGroup.PROBE else safe[index],
         objective=Objective(objective) if objective else Objective.PAPER,
     )

@@ -12,7 +12,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
 from skd_sim.world.episode import EpisodeLog, Outcome, counts_in_words
 
-from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Stage, split_episode_id
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, EpisodeGroup, split_episode_id
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.metrics.aborted import not_credible
 
@@ -123,7 +123,7 @@ def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
 
 SUMMARIES = ("probe.json", "assessment.json")
 """Files that say of which car the episodes beside them are."""
-_NAMES = {Stage.KAMIKAZE: "kamikaze trials", Stage.NOMINAL: "runs along φ"}
+_NAMES = {EpisodeGroup.KAMIKAZE: "kamikaze trials", EpisodeGroup.NOMINAL: "runs along φ"}
 
 
 def unfinished_episodes(ids: Iterable[int]) -> list[str]:
@@ -157,13 +157,13 @@ def missing_episodes(
         left_out: whether episodes are left out, so that sets are not what they were.
         which: which kamikazes these are, for the lines.
     """
-    names = {**_NAMES, Stage.KAMIKAZE: _NAMES[Stage.KAMIKAZE] + which}
-    trials: dict[Stage, dict[int, set[int]]] = {stage: {} for stage in _NAMES}
+    names = {**_NAMES, EpisodeGroup.KAMIKAZE: _NAMES[EpisodeGroup.KAMIKAZE] + which}
+    trials: dict[EpisodeGroup, dict[int, set[int]]] = {stage: {} for stage in _NAMES}
     for number in announced:
         stage, index, trial = split_episode_id(number)
         if stage in trials:
             trials[stage].setdefault(index, set()).add(trial)
-    kamikazes = trials[Stage.KAMIKAZE]
+    kamikazes = trials[EpisodeGroup.KAMIKAZE]
     known = {index for of_stage in trials.values() for index in of_stage}
     absent = _gaps(known)
     lines = [f"no recording has an episode of safe trajectory {absent}"] if absent else []
@@ -176,10 +176,10 @@ def missing_episodes(
         tried = len(kamikazes.get(index, ()))
         if not left_out and count < requested and tried < TRIALS_PER_REQUESTED * requested:
             lines.append(
-                f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
+                f"the last {names[EpisodeGroup.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
                 f"collided in {tried}, of another {requested}"
             )
-    runs = [len(trials[Stage.NOMINAL].get(index, ())) for index in sorted(known)]
+    runs = [len(trials[EpisodeGroup.NOMINAL].get(index, ())) for index in sorted(known)]
     if runs and not absent and (max(runs) - min(runs) > 1 or runs != sorted(runs, reverse=True)):  # dealt out in turns
         lines.append(f"the last runs along φ were not recorded: of one {min(runs)}, of another {max(runs)}")
     return lines

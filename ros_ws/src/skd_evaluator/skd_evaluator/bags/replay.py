@@ -16,7 +16,13 @@ from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_or
 from skd_evaluator.assessment.episode_figures import missed_periods, standing
 from skd_evaluator.assessment.objective_result import KamikazeSet, kamikaze_set
 from skd_evaluator.assessment.options import RECORDED
-from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, Stage, follows_other_trajectory, split_episode_id
+from skd_evaluator.assessment.plan import (
+    TRIALS_PER_REQUESTED,
+    EpisodeGroup,
+    Plan,
+    follows_other_trajectory,
+    split_episode_id,
+)
 from skd_evaluator.bags.checks import (
     Damage,
     aborted_episodes,
@@ -44,7 +50,11 @@ def _select(episodes: Sequence[BagEpisode], campaign: str | None) -> list[BagEpi
 def _counts(spec: EpisodeSpec) -> bool:
     """Whether an episode belongs to an assessment: those that made φ, probed a car or tried a way do not."""
     stage = split_episode_id(spec.episode_id)[0]
-    return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not follows_other_trajectory(spec)
+    return (
+        spec.mode != Mode.SAFE
+        and stage not in (EpisodeGroup.PROBE, EpisodeGroup.LEARNING)
+        and not follows_other_trajectory(spec)
+    )
 
 
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
@@ -98,7 +108,7 @@ def assessment_from_logs(
             raise UsageError(
                 f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
             )
-        if stage == Stage.KAMIKAZE:
+        if stage == EpisodeGroup.KAMIKAZE:
             kamikazes.setdefault((index, spec.objective), []).append(log)
         else:
             nominal.append((trial, index, log))

@@ -131,7 +131,7 @@ def stored_price(figures: Mapping[str, Any]) -> PriceOfCaution | None:
     return entry and PriceOfCaution(tuple(HarmlessRun(**one) for one in entry["runs"]), entry["aborted"])
 
 
-def keeps_out(figures: Mapping[str, Any]) -> bool:
+def does_not_get_past(figures: Mapping[str, Any]) -> bool:
     """Return whether a car surely does not get past people, by the figures of its assessment; see `DEADLOCK`."""
     interval = figures.get("deadlock_ci95")
     return interval is not None and interval[0] > DEADLOCK

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from skd_evaluator.assessment.compare.comparison import EACH
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
-from skd_evaluator.metrics.price_of_caution import keeps_out
+from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.report.formats import BARE, TERMINAL
 from skd_evaluator.report.terminal import bounded_cell, credibility, narrow_table
 
@@ -20,7 +20,7 @@ _number, _interval = TERMINAL.number, TERMINAL.interval
 def credibility_mark(row: Mapping[str, Any]) -> str:
     """Return what stands behind the name of a car that is not credible, or does not get past people."""
     said = credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
-    marks = [*([said] if said else []), *(["does not get past people"] if keeps_out(row) else [])]
+    marks = [*([said] if said else []), *(["does not get past people"] if does_not_get_past(row) else [])]
     return f", [red]{'; '.join(marks)}[/]" if marks else ""
 
 

@@ -87,12 +87,15 @@ def _of_margin(result: Result) -> Iterator[str]:
             f"{'episodes' if hit > 1 else 'episode'} ended in a hit: give a greater --kamikaze-count or --safe-count, "
             "or a scenario with a greater eta_max"
         )
-    elif result["margin_ci95"] is not None and result["margin_ci95"][0] == result["margin_ci95"][1]:
+    elif result["margin_ci95"] is not None and result["margin_ci95"][1] - result["margin_ci95"][0] < _NO_WIDTH:
         yield (
             f"all {trials} trials have the same margin, so its interval has no width: a greater --safe-count says more"
         )
     if touched and not hit and beyond == trials:
         yield f"the car was only walked into: {touched} kamikazes touched it, while it drove slower than {least:g} m/s"
+
+
+_NO_WIDTH = 1e-9  # m
 
 
 def _contacts(result: Result) -> tuple[int, int]:

@@ -23,7 +23,7 @@ from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelle
 
 from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner
-from skd_evaluator.assessment.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_batched
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.metrics.behaviour.model import walk, walked
@@ -73,7 +73,7 @@ class AnyCar:
             spec, intended = self._specs[phi], self._crossing_plan.safe[phi]
             track = walked(intended.positions, self._crossing_plan.values, normals, scale, intended.time_step)
             track = until_obstacle(spec.scenario, track)
-            number = episode_id(Stage.RISK, phi, draw)
+            number = episode_id(EpisodeGroup.RISK, phi, draw)
             trajectory = Trajectory(track, intended.time_step, intended.name)
             found.append(replace(spec, episode_id=number, safe_trajectory=trajectory))
         return found

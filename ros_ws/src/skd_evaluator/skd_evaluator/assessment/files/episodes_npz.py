@@ -25,7 +25,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.objective_result import ObjectiveResult
-from skd_evaluator.assessment.plan import Stage, episode_id, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id, split_episode_id
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.deviation import Hit, deviation_pairs
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs
@@ -450,7 +450,7 @@ def _mismatch(arrays: Mapping[str, Array]) -> str:
     if not cut or any(len(one) != rows for one in of_states) or any(len(one) != count for one in of_episodes):
         return "its arrays do not go together"
     is_safe, phi = arrays["mode"] == Mode.SAFE, arrays["safe_index"]
-    probes = (arrays["episode_id"] >> 48 == Stage.PROBE).all()
+    probes = (arrays["episode_id"] >> 48 == EpisodeGroup.PROBE).all()
     if not probes and not (is_safe.any() and (phi >= 0).all() and (phi < is_safe.sum()).all()):
         return "it has episodes of a φ that is not there"
     # Of an episode that was aborted before it began, and of φ, there is no state of the car.
@@ -503,7 +503,7 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
         objective=np.array([""] * len(rows), "U16"),
         safe_index=np.array([row % phis for row in rows], np.int64),
         outcome=np.full(len(rows), int(Outcome.COLLISION), np.int64),
-        episode_id=np.array([episode_id(Stage.RISK, row % phis, row // phis) for row in rows], np.int64),
+        episode_id=np.array([episode_id(EpisodeGroup.RISK, row % phis, row // phis) for row in rows], np.int64),
         impact_time=kept["impact_time"][places],
         impact_speed=kept["impact_speed"][places],
         belief=(),

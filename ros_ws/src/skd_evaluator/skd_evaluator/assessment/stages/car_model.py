@@ -44,7 +44,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
 from skd_evaluator.assessment.options import OF_NO_RESULT, GraphOptions
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id, probe_episodes
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, probe_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.bags.car_logs import recording_of
@@ -196,7 +196,7 @@ def own_trials(
             plan.scenario,
             Mode.KAMIKAZE,
             SEED,
-            episode_id(Stage.LEARNING, number % len(safe), number // len(safe)),
+            episode_id(EpisodeGroup.LEARNING, number % len(safe), number // len(safe)),
             safe_trajectory=safe[number % len(safe)],
             controller=plan.controller,
             multiplier=plan.multiplier,

@@ -31,7 +31,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
 from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods, standing
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED, aborted_lines
@@ -221,7 +221,7 @@ def _undisturbed(plan: Plan, number: int) -> EpisodeSpec:
         scenario,
         Mode.REPLAY,
         plan.seed,
-        episode_id(Stage.RISK, 0xFFFF, _LAST - number),
+        episode_id(EpisodeGroup.RISK, 0xFFFF, _LAST - number),
         nowhere,
         public=public,
         controller=plan.controller,

@@ -22,7 +22,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Runner, stage
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.metrics.price_of_caution import (
     BRAKING_LASTS,
@@ -47,14 +47,14 @@ _SPREAD = 2.0  # s after `CLEAR` over which crossings are spread
 _SOON = 3.0  # times as long as a car at its start speed takes to the crossing line, within which most have passed
 _NOWHERE = (-1000.0, -1000.0)  # m to the right, and along: far behind the car
 _PACE = (0.4, 0.8)  # share of the adversary's speed
-_KINDS_OF_USERS = ("pedestrian", "cyclist")
+_HEAVIEST = 150.0  # kg: who is heavier drives a vehicle, and does not wait at a kerb
 
 
 def why_no_price(plan: Plan, *, repeats: bool) -> str:
     """Return why there is no price of caution, in one line; empty where there is one."""
-    kind = road_user_named(plan.scenario.adversary.kind).name
-    if kind not in _KINDS_OF_USERS:
-        return f"the price of caution is of pedestrians and cyclists; the adversary is a {kind}"
+    user = road_user_named(plan.scenario.adversary.kind)
+    if user.mass > _HEAVIEST:
+        return f"the price of caution is of people on foot, bicycle or scooter; the adversary is a {user.name}"
     if not plan.scenario.car.start_speed > 0.0:
         return "the price of caution needs a car that starts at some speed"
     if not repeats or not repeats_itself(plan.simulator):
@@ -155,7 +155,7 @@ def _episode(plan: Plan, scenario: Scenario, number: int, trajectory: Trajectory
         scenario,
         Mode.REPLAY,
         plan.seed,
-        episode_id(Stage.PRICE, 0, number),
+        episode_id(EpisodeGroup.PRICE, 0, number),
         trajectory,
         public=replace(plan.scenario, others=(), horizon=HORIZON),
         controller=plan.controller,

@@ -23,7 +23,7 @@ from skd_evaluator.assessment.context import Context, Progress, RiskRequest, Run
 from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.options import NO_BEHAVIOUR
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.errors import AssessmentError, OutOfReachError
@@ -99,7 +99,7 @@ def crude_crossings(crossing_plan: CrossingPlan, runs: int) -> Crossings:
 
 def numbers_of(phi: IntArray, draw: IntArray) -> list[int]:
     """Return the ids of the episodes that crossings are."""
-    return [episode_id(Stage.RISK, one, other) for one, other in zip(phi.tolist(), draw.tolist(), strict=True)]
+    return [episode_id(EpisodeGroup.RISK, one, other) for one, other in zip(phi.tolist(), draw.tolist(), strict=True)]
 
 
 def draws_of(crossing_plan: CrossingPlan, crossings: Crossings) -> FloatArray:

@@ -16,7 +16,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
 from skd_evaluator.assessment.options import GENERATED, OWN, WALKERS
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import load_behaviour, normals_of, walked
@@ -60,7 +60,7 @@ def safe_trajectories(plan: Plan, runner: Runner, progress: Progress = silent) -
                 f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
             )
         missing = plan.safe_count - len(found)
-        episodes = [_safe_episode(plan, episode_id(Stage.SAFE, 0, trial + i)) for i in range(missing)]
+        episodes = [_safe_episode(plan, episode_id(EpisodeGroup.SAFE, 0, trial + i)) for i in range(missing)]
         for log in run_episodes(runner, episodes, "safe trajectories", progress, len(found), plan.safe_count):
             if log.outcome == Outcome.ARRIVED and (plan.safe != WALKERS or _crosses(plan.scenario, log.trajectory)):
                 found.append(replace(log.trajectory, name=f"{plan.safe}/{trial}"))

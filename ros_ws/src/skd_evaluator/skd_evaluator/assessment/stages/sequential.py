@@ -21,7 +21,7 @@ from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_or
 from skd_evaluator.assessment.context import Context, Runner, stage
 from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.options import GENERATED
-from skd_evaluator.assessment.plan import Plan, Stage
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan
 from skd_evaluator.assessment.stages import safe_trajectories
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.metrics.clustered import Clustered
@@ -97,7 +97,9 @@ def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
             f"--until-width adds φ in batches of --safe-count {plan.safe_count}; {plan.safe} has {count}: give fewer"
         )
     every = load_safe_trajectories(plan.safe, plan.scenario, count)
-    order = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(int(Stage.SAFE),))).permutation(count)
+    order = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(int(EpisodeGroup.SAFE),))).permutation(
+        count
+    )
     return [every[index] for index in order.tolist()], min(LOOKS, count // plan.safe_count)
 
 

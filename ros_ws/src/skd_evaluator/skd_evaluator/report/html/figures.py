@@ -10,7 +10,7 @@ from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
-from skd_evaluator.metrics.price_of_caution import keeps_out
+from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import (
     NOTHING,
@@ -120,7 +120,7 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         f"Of {counted(len(members), 'assessment')} over the same φ, {last.label} has the greatest {name} "
         f"({_bounded(last, key)}) and {first.label} the least ({_bounded(first, key)})."
     )
-    if out := [one.label for one in members if keeps_out(one.figures)]:
+    if out := [one.label for one in members if does_not_get_past(one.figures)]:
         text += f" Not called safer, for they do not get past people: {', '.join(out)}."
     known = all(one.figures[f"{key}_ci95"] for one in members)
     if close and len(members) == 2:
