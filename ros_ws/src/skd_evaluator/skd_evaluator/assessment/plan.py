@@ -53,23 +53,23 @@ class EpisodeGroup(IntEnum):
 GROUPS = {Mode.SAFE: EpisodeGroup.SAFE, Mode.KAMIKAZE: EpisodeGroup.KAMIKAZE, Mode.REPLAY: EpisodeGroup.NOMINAL}
 
 
-def episode_id(stage: EpisodeGroup, safe_index: int, trial: int) -> int:
+def episode_id(group: EpisodeGroup, safe_index: int, trial: int) -> int:
     """Return the id, unique within a campaign and the same for every car, of an episode."""
     if not (0 <= safe_index < 1 << 16 and 0 <= trial < 1 << 32):
         raise ValueError(f"out of range: safe_index {safe_index}, trial {trial}")
-    return int(stage) << 48 | safe_index << 32 | trial
+    return int(group) << 48 | safe_index << 32 | trial
 
 
 def split_episode_id(number: int) -> tuple[EpisodeGroup, int, int]:
-    """Return (stage, safe_index, trial) of an id made by `episode_id`.
+    """Return (group, safe_index, trial) of an id made by `episode_id`.
 
     Raises:
         UsageError: it was not made by it.
     """
-    stage = number >> 48
-    if stage not in tuple(EpisodeGroup):
+    group = number >> 48
+    if group not in tuple(EpisodeGroup):
         raise UsageError(f"episode id {number} is not of an SKD campaign")
-    return EpisodeGroup(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
+    return EpisodeGroup(group), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
 
 
 def model_digest(number: int, car_model: str) -> str:
