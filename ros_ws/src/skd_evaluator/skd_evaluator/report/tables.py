@@ -8,7 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from skd_evaluator.assessment.compare.comparison import EACH
+from skd_evaluator.assessment.compare.comparison import EACH, LESS_SAFE, SAFER
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.report.formats import BARE, TERMINAL
@@ -64,9 +64,21 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
             figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _interval(found["interval"])]
             figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
-        verdict = f"[bold]{entry['verdict'].removesuffix(EACH)}[/]{_disagreement(entry['differences'])}"
+        verdict = f"[bold]{_short(entry)}[/]{_disagreement(entry['differences'])}"
         cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
-    return narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %", heads, cells)
+    return narrow_table(
+        f"Beside {escape(first)}; intervals hold together with 95 %; s: later past each harmless road user",
+        heads,
+        cells,
+    )
+
+
+def _short(entry: Mapping[str, Any]) -> str:
+    """Return a verdict with its price as a number alone."""
+    verdict = str(entry["verdict"])
+    if not verdict.endswith(EACH):
+        return verdict
+    return f"{SAFER if verdict.startswith(SAFER) else LESS_SAFE}, {entry['price']['difference']:+.1f} s"
 
 
 def _disagreement(differences: Mapping[str, Any]) -> str:
