@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, why_no_price
+from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, warnings, why_no_price
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.price_of_caution import (
     HORIZON,
@@ -198,3 +198,10 @@ def test_only_a_lower_end_above_five_percent_says_that_a_car_does_not_get_past()
     assert does_not_get_past({"deadlock_ci95": (0.06, 0.2)})
     assert not does_not_get_past({"deadlock_ci95": (0.04, 0.2)})
     assert not does_not_get_past({"deadlock_ci95": None})
+
+
+def test_aborted_harmless_runs_are_said() -> None:
+    runs = tuple(HarmlessRun("waits", 6.0, 6.0, 5.5, braked=False) for _ in range(6))
+    assert warnings("mine", PriceOfCaution(runs)) == ()
+    (line,) = warnings("mine", PriceOfCaution(runs, aborted=4))
+    assert line.startswith("4 of 10 harmless runs were aborted")

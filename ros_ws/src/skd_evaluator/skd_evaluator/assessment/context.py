@@ -50,25 +50,6 @@ Fresh = Callable[[], AbstractContextManager[Runner]]
 """Makes a runner that has run nothing before."""
 
 
-class Recorder:
-    """A runner that remembers the logs of another one, for the case that the work is interrupted.
-
-    Attributes:
-        logs: what happened in every episode so far.
-    """
-
-    def __init__(self, runner: Runner) -> None:
-        """Let `runner` do the work."""
-        self._runner = runner
-        self.logs: list[EpisodeLog] = []
-
-    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
-        """Run all of `episodes`; see `Runner`."""
-        for log in self._runner.run(episodes):
-            self.logs.append(log)
-            yield log
-
-
 @dataclass(frozen=True)
 class RiskRequest:
     """Which risk is requested.

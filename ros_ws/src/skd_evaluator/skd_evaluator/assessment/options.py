@@ -238,7 +238,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
 
     def composes(self, simulator: str) -> bool:
         """Return whether simulator and adversary share the evaluator's process, if that is a simulator's name."""
-        # Planning would keep a clock waiting, and it is not known what code of others does.
+        # Planning may take longer than a control period, and other simulators need processes of their own.
         return self.nodes == COMPOSED and self.answers_each_state and is_own_world(simulator)
 
     def simulator_parameters(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The price of caution: what a car's safety costs where nothing has to be avoided.
 
-A car that always stops never hits. So it drives past road users who are not in its path, each time with
-the draws of a drive that has the road to itself, and what the two differ by is the price.
+A car that always stops never hits. So it drives past road users who are not in its path, each time with the draws of a
+drive on the empty road, and the price is what the two differ by.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ DEADLOCK: Final = 0.05
 
 
 class HarmlessRun(NamedTuple):
-    """A drive past a road user who is not in the car's path, beside the same drive with the road to itself.
+    """A drive past a road user who is not in the car's path, and the same drive on the empty road.
 
     Attributes:
         kind: what the road user does.
-        passed: time at which the car had passed, s; `HORIZON` where it had not by then.
-        undisturbed: the same with the road to itself, s.
+        passed: time at which the car had passed, s; `HORIZON` where it had not by then, or had hit.
+        undisturbed: the same on the empty road, s.
         unslowed: the same at the start speed, s.
         braked: whether it braked hard here alone.
     """
@@ -112,8 +112,7 @@ class PriceOfCaution:
     @property
     def does_not_get_past(self) -> bool:
         """Whether the car surely does not get past people, in more than `DEADLOCK` of the runs."""
-        interval = self.deadlock_ci95
-        return interval is not None and interval[0] > DEADLOCK
+        return does_not_get_past({"deadlock_ci95": self.deadlock_ci95})
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry `price_of_caution` of assessment.json."""

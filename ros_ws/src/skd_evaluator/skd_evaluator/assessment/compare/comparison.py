@@ -95,7 +95,8 @@ class Comparison:
         if judge is None:
             return NOT_COMPARED
         says = set(self._sure.values())
-        if self.disagree or len(says) != 1 or self.opposed or self.is_bound[(said := says.pop()) > 0]:
+        said = 0 if self.disagree or len(says) != 1 or self.opposed else says.pop()
+        if said == 0 or self.is_bound[said > 0]:
             return self._keeps_out or INCONCLUSIVE
         return self._keeps_out if said > 0 and self._keeps_out else self._priced(said)
 
@@ -127,7 +128,7 @@ class Comparison:
             return None
         times = [[[run.passed - run.unslowed] for run in one.runs] for one in (first, second)]
         same = self.first.figures["seed"] == self.second.figures["seed"] and len(first.runs) == len(second.runs)
-        return difference(*times, paired=same)
+        return difference(*times, paired=same and not first.aborted and not second.aborted)
 
     @property
     def is_bound(self) -> tuple[bool, bool]:

@@ -1,4 +1,4 @@
-"""The price of caution: harmless runs, each beside the same drive with the road to itself.
+"""The price of caution: harmless runs, each beside the same drive on the empty road.
 
 Road users wait behind the kerb, walk or ride along it, go away from it, or cross along φ, at least `CLEAR` before or
 after the undisturbed car is there.
@@ -77,22 +77,30 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails here alone has its other figures all the same
-        return replace(assessment, price_note=f"its harmless runs ended: {error}")
+        return _not_known(assessment, f"its harmless runs ended: {error}")
     context.progress(LABEL, 1, 1)
     if price is None:
-        return replace(assessment, price_note="all harmless runs were aborted")
+        return _not_known(assessment, "all harmless runs were aborted")
     lines = () if plan.car.is_own else warnings(plan.controller, price)
     return replace(assessment, price=price, warnings=(*assessment.warnings, *lines))
 
 
+def _not_known(assessment: Assessment, why: str) -> Assessment:
+    line = f"the price of caution is not known: {why}"
+    return replace(assessment, price_note=why, warnings=(*assessment.warnings, line))
+
+
 def warnings(car: str, price: PriceOfCaution) -> tuple[str, ...]:
-    """Return in a line that a user's car does not get past people; empty where it does."""
-    if not price.does_not_get_past:
-        return ()
-    return (
+    """Return what a reader should know of the price of a user's car, a line each."""
+    lost = (
+        f"{price.aborted} of {price.aborted + len(price.runs)} harmless runs were aborted and count for nothing: the "
+        "price of caution is of the others",
+    )
+    stuck = (
         f"{car} does not get past people who are not in its path in {price.deadlocks} of {len(price.runs)} runs of "
         f"{HORIZON:g} s: the room that it leaves may be due to that",
     )
+    return (*(lost if price.aborted else ()), *(stuck if price.does_not_get_past else ()))
 
 
 def price_of_caution(plan: Plan, safe: Sequence[Trajectory], runner: Runner, count: int) -> PriceOfCaution | None:

@@ -158,7 +158,7 @@ class OtherHit(NamedTuple):
 def margins_with_other_hits(
     episodes: Sequence[EpisodeSpec], known: Mapping[int, EpisodeLog], hits: Sequence[OtherHit], rounds: Rounds
 ) -> FloatArray:
-    """Return the margins of trials, m, in which hits of others are tried too; nothing further is searched.
+    """Return the margins of trials, m, in which hits of another car are tried too; nothing further is searched.
 
     Each trial meets all hits of its own φ. Where there is none of it, it meets the first hit of each other φ, with the
     same actions.
@@ -204,7 +204,7 @@ class _Search:
         return [trial for group in self._groups for trial in group.trials]
 
     def offer(self, hits: Sequence[OtherHit]) -> None:
-        """Offer hits of others, best first."""
+        """Offer trajectories on which another car hits, the least deviation first."""
         spaces = {one.space.path.tobytes(): one.space for one in self._groups}
         offers: dict[bytes, list[IntArray]] = {}
         for safe, positions in hits:
