@@ -96,7 +96,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
     ranking = _ranking(figures)
     phis = counted(len(figures["per_safe_trajectory"]), "φ")
     speed, model, close = figures["impact_speed"], figures.get("adversary_model"), figures["optimality_gap"]
-    told: dict[str, dict[str, Any]] = {
+    overrides: dict[str, dict[str, Any]] = {
         "margin": {"basis": _margin_basis(figures)},
         "equivalent_multiplier": {
             "clustered": _equivalent_interval(style, figures, CI95),
@@ -123,11 +123,14 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
     risk = figures.get("risk")
     if risk:
         people = f"people by {risk['behaviour']['name']}"
-        told.update({f"risk_{one['scale']:g}": {"basis": f"{one['method']}; {people}"} for one in risk["scales"]})
+        overrides.update({f"risk_{one['scale']:g}": {"basis": f"{one['method']}; {people}"} for one in risk["scales"]})
+    if price := figures.get("price_of_caution"):
+        runs = counted(len(price["runs"]), "harmless run")
+        overrides["time_lost"] = {"basis": f"{runs}; {style.share(figures['deadlock'])} never pass"}
     if figures["skd"] is None:
-        told["skd"]["value"] = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
+        overrides["skd"]["value"] = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
     shown = [one for one in shown_in("summary") if one.first]
-    return [replace(_row(style, one, figures, main=True), **told.get(one.key, {})) for one in shown]
+    return [replace(_row(style, one, figures, main=True), **overrides.get(one.key, {})) for one in shown]
 
 
 def _row(style: Style, one: Figure, figures: Mapping[str, Any], **rest: Any) -> FigureRow:
