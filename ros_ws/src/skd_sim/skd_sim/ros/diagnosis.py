@@ -146,8 +146,8 @@ class Evidence:
 
     @property
     def answered(self) -> bool:
-        """Whether a command came that counts."""
-        if not self.has_come(self.awaited.topic) or any(one.find(self) for one in _STAMPS):
+        """Whether a command came that counts: also one that the simulator's subscription takes."""
+        if not self.has_come(self.awaited.topic) or any(one.find(self) for one in (_QOS_OF_PUBLISHER, *_STAMPS)):
             return False
         return self.newest is None or not self.by_stamp or self.newest == self.stamp
 
@@ -210,6 +210,9 @@ def _qos_of_publisher(seen: Evidence) -> str | None:
     name, policy = misfits[0]
     how = "best effort, and nothing may be lost here: publish it reliable" if policy == "reliability" else "too weak"
     return f"{name} publishes {topic} with a {policy} that is {how} (qos_overrides.{topic}.publisher.{policy})"
+
+
+_QOS_OF_PUBLISHER = Cause("quality of service", True, _qos_of_publisher)
 
 
 def _state_subscriptions(seen: Evidence) -> list[tuple[str, str, Any, Any]]:
@@ -356,7 +359,7 @@ def _not_there(seen: Evidence) -> str:
 CAUSES = (
     Cause("no adversary", False, _no_adversary),
     Cause("wrong type", True, _type),
-    Cause("quality of service", True, _qos_of_publisher),
+    _QOS_OF_PUBLISHER,
     Cause("wrong type of subscription", True, _type_of_subscription),
     Cause("quality of service of subscription", True, _qos_of_subscription),
     *_STAMPS,
