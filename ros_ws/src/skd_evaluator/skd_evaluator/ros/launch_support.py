@@ -1,27 +1,28 @@
-"""What the launch files share: arguments, the graph's processes, and how the launch ends."""
+"""What the launch files share: arguments, the graph's nodes with their parameters, and how the launch ends.
+
+`launch` is imported where it is needed: it is not on the package index, and arguments are looked at without it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
-from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown
-from launch.events.process import ProcessExited
-from launch.launch_context import LaunchContext
-from launch.launch_description import LaunchDescription
-from launch_ros.actions import Node
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
 from skd_sim.options.options import Option, SimulatorOptions, option, options_of
 from skd_sim.ros.support import descriptor_of
 
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions
 
-SIMULATOR, EVALUATOR = "vehicle_simulator", "evaluator"
+if TYPE_CHECKING:
+    from launch.events.process import ProcessExited
+    from launch.launch_context import LaunchContext
+    from launch.launch_description import LaunchDescription
+
+SIMULATOR, CONTROLLER, ADVERSARY, EVALUATOR = "vehicle_simulator", "car_controller", "adversary", "evaluator"
+_PACKAGES = {SIMULATOR: "skd_sim", CONTROLLER: "skd_sim", ADVERSARY: "skd_adversary", EVALUATOR: "skd_evaluator"}
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
@@ -52,12 +53,9 @@ def arguments_of(task: str) -> dict[str, tuple[Option, tuple[str, ...]]]:
     return found
 
 
-def _declaration(one: Option) -> DeclareLaunchArgument:
-    """Return what `ros2 launch --show-args` shows."""
-    default = one.plain_default
-    text = str(default).lower() if isinstance(default, bool) else str(default)
-    choices = {"choices": list(one.texts)} if one.texts else {}
-    return DeclareLaunchArgument(one.name, default_value=text, description=descriptor_of(one).description, **choices)
+def text_of(value: Any) -> str:
+    """Return a default as a launch argument has it."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _value(one: Option, text: str) -> Any:
@@ -76,36 +74,59 @@ def _value(one: Option, text: str) -> Any:
         raise ValueError(f"launch argument {one.name} must be {kinds}, got {text!r}") from None
 
 
+def values_and_nodes(task: str, texts: Mapping[str, str]) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Return the values of a task's arguments, and the parameters of each node that is started, by its name.
+
+    Raises:
+        ValueError: the text of an argument is not of its type.
+    """
+    arguments = arguments_of(task)
+    values = {name: _value(one, texts[name]) for name, (one, _) in arguments.items()}
+    nodes: dict[str, dict[str, Any]] = {SIMULATOR: {}, ADVERSARY: {}, CONTROLLER: {}, EVALUATOR: {"task": task}}
+    if not values["use_builtin_controller"] or CarUnderTest(values["controller"]).is_external:
+        values["controller"] = EXTERNAL
+        del nodes[CONTROLLER]
+    for name, (_, names) in arguments.items():
+        for node in names:
+            nodes[node][name] = values[name]
+    return values, nodes
+
+
 def graph_description(task: str) -> LaunchDescription:
     """Return the launch of the whole graph for one task of the evaluator, the value of its parameter of that name."""
-    declared = [_declaration(one) for one, _ in arguments_of(task).values()]
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction
+    from launch.launch_description import LaunchDescription
+
+    declared = [
+        DeclareLaunchArgument(
+            one.name,
+            default_value=text_of(one.plain_default),
+            description=descriptor_of(one).description,
+            **({"choices": list(one.texts)} if one.texts else {}),
+        )
+        for one, _ in arguments_of(task).values()
+    ]
     return LaunchDescription([*declared, OpaqueFunction(function=_start, args=[task])])
 
 
 def _start(context: LaunchContext, task: str) -> list[Any]:
-    arguments = arguments_of(task)
-    values = {name: _value(one, context.launch_configurations[name]) for name, (one, _) in arguments.items()}
-    builtin = values["use_builtin_controller"] and not CarUnderTest(values["controller"]).is_external
-    if not builtin:
-        values["controller"] = EXTERNAL
+    from ament_index_python.packages import get_package_share_directory
+    from launch.actions import RegisterEventHandler
+    from launch.event_handlers import OnProcessExit
+    from launch_ros.actions import Node
 
-    def node(package: str, name: str) -> Node:
-        chosen = {key: values[key] for key, (_, nodes) in arguments.items() if name in nodes}
-        if name == EVALUATOR:
-            chosen["task"] = task
+    values, nodes = values_and_nodes(task, context.launch_configurations)
+    started: list[Any] = []
+    for name, chosen in nodes.items():
+        package = _PACKAGES[name]
         parameters: list[Any] = [str(Path(get_package_share_directory(package), "config", f"{name}.yaml")), chosen]
         if values["params_file"]:
             parameters.append(values["params_file"])
-        return Node(package=package, executable=name, name=name, parameters=parameters, output="screen")
-
-    evaluator = node("skd_evaluator", EVALUATOR)
-    others = [node("skd_sim", SIMULATOR), node("skd_adversary", "adversary")]
-    if builtin:
-        others.append(node("skd_sim", "car_controller"))
-    started: list[Any] = [*others, evaluator]
-    if values["end_launch"]:
-        ends = {evaluator: _on_evaluator_exit, **dict.fromkeys(others, _on_other_exit)}
-        started[:0] = [RegisterEventHandler(OnProcessExit(target_action=one, on_exit=end)) for one, end in ends.items()]
+        node = Node(package=package, executable=name, name=name, parameters=parameters, output="screen")
+        if values["end_launch"]:
+            end = _on_evaluator_exit if name == EVALUATOR else _on_other_exit
+            started.append(RegisterEventHandler(OnProcessExit(target_action=node, on_exit=end)))
+        started.append(node)
     if values["rviz"]:
         view = str(Path(get_package_share_directory("skd_evaluator"), "rviz", "skd.rviz"))
         started.append(Node(package="rviz2", executable="rviz2", arguments=["-d", view], output="screen"))
@@ -113,6 +134,9 @@ def _start(context: LaunchContext, task: str) -> list[Any]:
 
 
 def _on_evaluator_exit(event: ProcessExited, context: LaunchContext) -> list[Any]:
+    from launch.actions import EmitEvent, LogInfo
+    from launch.events import Shutdown
+
     if context.is_shutdown:
         return []
     reason = f"evaluator ended with exit code {event.returncode}"
