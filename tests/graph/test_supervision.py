@@ -6,12 +6,15 @@ import dataclasses
 import os
 import re
 import shlex
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from common import PATIENCE, wait_until
@@ -22,6 +25,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator, refuted
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
+from skd_sim.ros import discovery
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
 from skd_sim.world.state import CarState
 
@@ -106,3 +110,34 @@ def test_another_simulator_is_not_held_to_the_laws_of_this_world(replay: Episode
     assert "the car's speed at tick 2" in said
     elsewhere = dataclasses.replace(replay, simulator="metadrive")
     assert refuted(dataclasses.replace(other, episode=elsewhere), own_world=True) is None
+
+
+def test_a_publisher_whose_process_has_died_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where of the node that died again and again nothing else is left; and where processes are not seen, it is.
+
+    Fast DDS writes vendor, host and process into the first six bytes of a GUID.
+    """
+
+    def endpoint(name: str, process: int, host: int = 1) -> SimpleNamespace:
+        gid = [1, 15, host, 0, process & 0xFF, process >> 8 & 0xFF, *(18 * [0])]
+        return SimpleNamespace(
+            node_namespace="/", node_name=name, endpoint_gid=gid, topic_type="any/msg/Any", qos_profile=None
+        )
+
+    living, dead = os.getppid(), subprocess.Popen(["true"])
+    dead.wait()
+    found = {"/parameter_events": [endpoint("ours", os.getpid())], "/topic": []}
+    node: Any = SimpleNamespace(
+        get_publishers_info_by_topic=found.__getitem__,
+        resolve_topic_name=lambda topic: topic,
+        get_fully_qualified_name=lambda: "/ours",
+    )
+    monkeypatch.setattr(discovery, "_seen", set())
+    found["/topic"] = [endpoint("car", dead.pid), endpoint("car", dead.pid)]
+    assert len(discovery.living_publishers(node, "/topic")) == 2, "processes of others may not be seen here"
+    found["/parameter_events"].append(endpoint("car", living))
+    assert not discovery.living_publishers(node, "/topic")
+    found["/parameter_events"].pop()
+    assert not discovery.living_publishers(node, "/topic"), "they have been seen"
+    found["/topic"].append(endpoint("far", dead.pid, host=2))
+    assert [one.name for one in discovery.living_publishers(node, "/topic")] == ["/far"]

@@ -136,4 +136,4 @@ def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(
         done = replay(file, "--skip-damaged")
         assert done.episodes == expected.episodes
         assert "cut short" in done.result["left_out"][0]
-        assert "messages of it count" in done.err
+        assert "what is whole of it is read" in done.result["left_out"][0]

@@ -33,6 +33,8 @@ from skd_sim.inputs.files import open_regular
 from skd_sim.ros_environment.installation import message_package, packages_without_wheel
 from skd_sim.ros_environment.variables import PREFIX
 
+from skd_evaluator.bags.checks import Damage
+
 
 def _shared(package: str) -> Iterator[Path]:
     """Yield the folders of .msg files that a package has in the prefixes of this run, or comes with here, in order."""
@@ -197,20 +199,24 @@ class Condition:
     counts: Counter[str] = field(default_factory=Counter)
 
 
-def read_messages(path: Path, requested: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
+def read_messages(
+    path: Path, requested: Callable[[str], bool], damage: Damage, condition: Condition | None = None
+) -> Iterator[Received]:
     """Yield the messages of a file on requested topics, in the order of the file.
 
-    Damaged parts are left out and named in `condition`, which is complete when the iteration has ended. Do not rely on
-    messages before that, because the checksum of the whole comes last.
+    Do not rely on messages before the iteration has ended: the checksum of the whole comes last.
 
     Args:
         path: path of the file.
         requested: says of a topic whether its messages are requested.
-        condition: takes note of what is found.
+        damage: takes note of damaged parts, which give no messages.
+        condition: takes note of what the file holds.
 
     Raises:
-        UsageError: it cannot be opened, is no regular file, or of none of the storages.
+        UsageError: it cannot be opened, is no regular file, or of none of the storages; or something must not be left
+            out, or nothing of it may be used.
     """
+    condition = condition or Condition()
     requested = functools.cache(requested)
     with _unpacked(path) as (file, magic):
         if magic.startswith(_SQLITE_MAGIC) or magic.startswith(_ROS1_MAGIC):
@@ -221,6 +227,12 @@ def read_messages(path: Path, requested: Callable[[str], bool], condition: Condi
             raise UsageError(f"{path}: is no recording: neither MCAP, SQLite of rosbag2, nor a bag of ROS 1")
         for one in found:
             yield one._replace(data=_plain(one.data, condition)) if one.data.startswith(_ZSTD_MAGIC) else one
+    if condition.refuted:
+        raise UsageError(f"{path}: {condition.damage[-1]}, and it has no other: leave the file out")
+    if condition.unchecked:
+        damage.unchecked.append(path)
+    for what in condition.damage:
+        damage.leave_out(f"{path}: {what}; what is whole of it is read")
 
 
 def span_of(path: Path) -> tuple[int, int] | None:
@@ -234,7 +246,7 @@ def span_of(path: Path) -> tuple[int, int] | None:
                 summary = None
             if summary is not None and summary.statistics is not None and summary.statistics.message_count:
                 return summary.statistics.message_start_time, summary.statistics.message_end_time
-        times = [one.logged for one in read_messages(file, lambda _topic: True, Condition())]
+        times = [one.logged for one in read_messages(file, lambda _topic: True, Damage(skip=True))]
     return (min(times), max(times)) if times else None
 
 

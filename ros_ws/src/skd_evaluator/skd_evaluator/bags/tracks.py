@@ -393,17 +393,13 @@ class _Bag:
         self._longest_gap, self._damage, self._files = longest_gap, damage, files
         for file in files:
             condition = Condition()
-            for received in read_messages(file, requested, condition):
+            for received in read_messages(file, requested, damage, condition):
                 if received.type not in (*_READ, _TRANSFORMS):
                     continue
                 try:
                     self._add(received, received.decoded())
                 except UsageError as error:
                     damage.leave_out(f"{file}: {error}")
-            if condition.refuted:
-                raise UsageError(f"{file}: {condition.damage[-1]}, and it has no other: leave the file out")
-            for what in condition.damage:
-                damage.leave_out(f"{file}: {what}; what is whole of it is read")
             self.topics.update(condition.topics)
             self.counts.update(condition.counts)
 

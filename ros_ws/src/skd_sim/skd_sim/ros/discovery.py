@@ -56,9 +56,14 @@ def living_publishers(node: Node, topic: str) -> list[Publisher]:
     ours = next((gid for name, gid in nodes if name == node.get_fully_qualified_name()), None)
     if ours is None or tuple(ours[:2]) != _FAST_DDS:
         return publishers
-    if not {_process(gid) for _, gid in nodes if _process(gid) != _process(ours)} & processes:
-        return publishers  # of no other node a process is seen: they may run in containers, with processes of their own
+    _seen.update(gid[:4] for _, gid in nodes if _process(gid) != _process(ours) and _process(gid) in processes)
+    if ours[:4] not in _seen:
+        return publishers  # of no other node a process was ever seen: they may run in containers, with their own
     return [one for one in publishers if one.participant[:4] != ours[:4] or _process(one.participant) in processes]
+
+
+_seen: set[bytes] = set()
+"""Beginnings of GUIDs, which name the host, of which the process of another node has been seen."""
 
 
 def second_publisher(node: Node, topic: str) -> str | None:

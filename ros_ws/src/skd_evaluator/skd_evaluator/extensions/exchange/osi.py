@@ -20,7 +20,7 @@ from skd_sim.inputs.files import one_line, open_regular
 from skd_sim.start import installing
 
 from skd_evaluator.bags.checks import Damage
-from skd_evaluator.bags.messages import Condition, read_messages
+from skd_evaluator.bags.messages import read_messages
 from skd_evaluator.bags.tracks import Listed, Track, listed, track_or_why
 from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, lanes_of
 
@@ -108,15 +108,13 @@ def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
 
 def _of_mcap(path: Path, damage: Damage) -> Iterator[Any]:
     """Yield the ground truth of an MCAP file."""
-    condition, topics = Condition(), dict[str, None]()
-    for received in read_messages(path, lambda _topic: True, condition):
+    topics: dict[str, None] = {}
+    for received in read_messages(path, lambda _topic: True, damage):
         if received.type == SCHEMA:
             topics[received.topic] = None
             if len(topics) > 1:
                 raise UsageError(f"{path}: has ground truth on {listed(topics)}; give a file with one of them")
             yield _parsed(_ground_truth(), received.data, path)
-    for what in condition.damage:
-        damage.leave_out(f"{path}: {what}; what is whole of it is read")
 
 
 def _trace(path: Path, damage: Damage) -> Iterator[Any]:

@@ -23,7 +23,7 @@ from skd_sim.world.episode import Mode
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.files import STORAGES, find_recordings, is_recording, joined, name_of
-from skd_evaluator.bags.messages import Condition, read_messages
+from skd_evaluator.bags.messages import read_messages
 from skd_evaluator.bags.read import ADVERSARY as ADVERSARY_TOPIC
 from skd_evaluator.bags.read import CAR as CAR_TOPIC
 from skd_evaluator.bags.tracks import (
@@ -241,7 +241,7 @@ def _is_osi(path: Path) -> bool:
     """Return whether an MCAP file holds ground truth of OSI, by the type of its first message."""
     if path.is_dir() or path.suffix.lower() != ".mcap":
         return False
-    first = next(read_messages(path, lambda _topic: True, Condition()), None)
+    first = next(read_messages(path, lambda _topic: True, Damage(skip=True)), None)
     return first is not None and first.type == SCHEMA
 
 
