@@ -46,7 +46,8 @@ from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.statistics import wilson_interval
 from skd_sim.options.adversary import Objective
-from skd_sim.ros_environment import enter_ros, is_ready
+from skd_sim.ros_environment.installation import is_ready
+from skd_sim.ros_environment.variables import enter_ros
 from skd_sim.scenario.scenario import load_scenario
 from wide_scenarios import HITS, TRUTHS, Manner, outcomes
 

@@ -14,8 +14,8 @@ ANSWER = {"packages": {"rclpy": True, "tf2_ros": False}, "middleware": "rmw_fast
 
 @pytest.fixture(autouse=True)
 def ready(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor.ros_environment, "is_ready", lambda: True)
-    monkeypatch.setattr(doctor.ros_environment, "is_sourced", lambda: False)
+    monkeypatch.setattr(doctor, "is_ready", lambda: True)
+    monkeypatch.setattr(doctor, "is_sourced", lambda: False)
 
 
 def of_ros(answer: dict[str, Any]) -> dict[str, doctor.Finding]:
@@ -40,7 +40,7 @@ def test_what_is_needed_and_missing_is_an_error(capsys, monkeypatch):
 
 
 def test_without_ros_nothing_is_installed(monkeypatch):
-    monkeypatch.setattr(doctor.ros_environment, "is_ready", lambda: False)
+    monkeypatch.setattr(doctor, "is_ready", lambda: False)
     (found,) = doctor._ros(round_trip=True, ask=lambda: pytest.fail("nodes are started"))
     assert found.state == doctor.ABSENT
 

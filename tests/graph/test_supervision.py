@@ -16,17 +16,19 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from common import PATIENCE, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import of_node, whole_graph
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator, refuted
-from skd_evaluator.ros.processes import GraphError, Program, Supervisor
+from skd_evaluator.ros.processes import AbortedEpisodes, GraphError, Program, Supervisor
 from skd_sim.ros import discovery
-from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
+from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, abort_reason, kind_of
 from skd_sim.world.state import CarState
 
 
@@ -47,8 +49,22 @@ def test_what_can_never_start_is_not_started_again_and_again(tmp_path: Path, pro
         problems = []
         with pytest.raises(GraphError, match=re.escape(f"for the 2. time; its last words: {words}")):
             wait_until(lambda: problems.extend(filter(None, [one.check()])), "an end")
+        with pytest.raises(GraphError):  # a later stage of the campaign does not wait for what does not run
+            one.check()
     assert len(problems) == 1
     assert len(said) == 1
+
+
+def test_a_campaign_whose_episodes_are_not_answered_ends(replay: EpisodeSpec) -> None:
+    """Each takes a timeout and a start of the node; one that is answered in between begins the count anew."""
+    where = np.zeros((3, 2)), np.zeros((3, 4))
+    silent = EpisodeLog(replay, Outcome.ABORTED, *where, reason=abort_reason(AbortKind.NO_ANSWER, "it hangs"))
+    slipped = dataclasses.replace(silent, reason=abort_reason(AbortKind.SLIPPED, "late"))
+    failures = AbortedEpisodes(lambda _line: None)
+    for log in [*9 * [silent], slipped, *9 * [silent]]:
+        failures.note(log)
+    with pytest.raises(AssessmentError, match=r"10 episodes in a row were not answered, the last one so: .*it hangs"):
+        failures.note(silent)
 
 
 def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: EpisodeSpec) -> None:

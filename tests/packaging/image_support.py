@@ -23,8 +23,8 @@ from pathlib import Path
 
 from common import PATIENCE, new_domain
 from packaging_support import ROOT
-from skd_sim.ros_environment import is_sourced, node_variables
 from skd_sim.ros_environment.installation import cmake_prefix, environment_digest, locked
+from skd_sim.ros_environment.variables import is_sourced, node_variables
 
 BIN = Path(sys.executable).parent
 _PYTHON = """#!/bin/bash

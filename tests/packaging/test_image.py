@@ -24,7 +24,7 @@ from common import PATIENCE, new_domain
 from image_support import BIN, DOCKERFILE, Image, build_image, context, image_folder, signal_group, value
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.ros_environment import ensure_ros
+from skd_sim.ros_environment.installation import ensure_ros
 
 SERVICES = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))["services"]
 LAUNCH = ("launch", "launch_ros", "ros2cli", "ros2launch", "ros2run")

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment import ensure_ros, installation, is_ready
-from skd_sim.ros_environment.installation import MessagePackage, message_package
+from skd_sim.ros_environment import installation
+from skd_sim.ros_environment.installation import MessagePackage, ensure_ros, is_ready, message_package
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(installation.__file__).parent

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment import installation, is_sourced
+from skd_sim.ros_environment import installation
 from skd_sim.ros_environment.installation import MessagePackage, ensure_messages
+from skd_sim.ros_environment.variables import is_sourced
 
 pytestmark = pytest.mark.skipif(is_sourced(), reason="a ROS 2 is sourced, so nothing is built")
 

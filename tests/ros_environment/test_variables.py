@@ -15,8 +15,14 @@ from skd_evaluator.ros import session
 from skd_evaluator.ros.processes import CONTROLLER, graph_programs
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.ros_environment import foreign_variables, is_sourced, message_variables, node_variables
-from skd_sim.ros_environment.variables import GUARD, library_folders
+from skd_sim.ros_environment.variables import (
+    GUARD,
+    foreign_variables,
+    is_sourced,
+    library_folders,
+    message_variables,
+    node_variables,
+)
 
 pytestmark = pytest.mark.skipif(is_sourced(), reason="a ROS 2 is sourced, so no wheels are used")
 PATH = "LD_LIBRARY_PATH"
@@ -55,7 +61,8 @@ def python(program: str, **changes: str | None) -> subprocess.CompletedProcess[s
 
 
 def test_a_process_begins_anew_only_where_it_has_to():
-    program = "from skd_sim.ros_environment import enter_ros; print('begun'); enter_ros(); import rclpy; print('there')"
+    begun = "from skd_sim.ros_environment.variables import enter_ros; print('begun')"
+    program = f"{begun}; enter_ros(); import rclpy; print('there')"
     assert python(program, **{GUARD: "1"}).stdout == "begun\nbegun\nthere\n"
     assert python(program, **node_variables({})).stdout == "begun\nthere\n"
 

@@ -12,42 +12,21 @@ import contextlib
 import ctypes
 import os
 import signal
+import struct
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import FrameType, TracebackType
 
 END_LIMIT = 1.5
 """Seconds that taking a node down may take, and Python's own end after it."""
 _CLOCK_MONOTONIC, _SIGEV_THREAD = 1, 2
+_SIGEVENT, _ITIMERSPEC = "QiiQ40x", "qqqq"
+"""Linux's `sigevent` (value, signal, how, function) and `itimerspec` (period and first time, each s and ns)."""
 
 
-class _Event(ctypes.Structure):
-    """`struct sigevent` of Linux: 64 bytes, of which only these are used."""
-
-    _fields_ = (
-        ("value", ctypes.c_void_p),
-        ("signo", ctypes.c_int),
-        ("notify", ctypes.c_int),
-        ("function", ctypes.c_void_p),
-        ("attributes", ctypes.c_void_p),
-        ("rest", ctypes.c_byte * 32),
-    )
-
-
-class _Setting(ctypes.Structure):
-    """`struct itimerspec`: period and first time, each in seconds and nanoseconds."""
-
-    _fields_ = (
-        ("period", ctypes.c_long),
-        ("period_nanoseconds", ctypes.c_long),
-        ("first", ctypes.c_long),
-        ("first_nanoseconds", ctypes.c_long),
-    )
-
-
-def end_within(seconds: float, code: int) -> contextlib.AbstractContextManager[None]:
+def end_within(seconds: float, code: int) -> contextlib.AbstractContextManager[object]:
     """End this process after a time, at once and whatever it does; write all that is to be kept before.
 
     Args:
@@ -60,28 +39,18 @@ def end_within(seconds: float, code: int) -> contextlib.AbstractContextManager[N
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, or nobody reads it
             stream.flush()
+    ending = contextlib.ExitStack()
     try:
-        libc = ctypes.CDLL(None)
-        timer = ctypes.c_void_p()
-        leave = ctypes.cast(libc._exit, ctypes.c_void_p)
-        event = _Event(value=code, notify=_SIGEV_THREAD, function=leave.value)
-        whole = int(seconds)
-        setting = _Setting(first=whole, first_nanoseconds=int((seconds - whole) * 1e9))
-        if libc.timer_create(_CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)):
-            raise OSError
-        if libc.timer_settime(timer, 0, ctypes.byref(setting), None):
-            raise OSError
+        libc, timer = ctypes.CDLL(None), ctypes.c_void_p()
+        leave = ctypes.cast(libc._exit, ctypes.c_void_p).value
+        event = struct.pack(_SIGEVENT, code, 0, _SIGEV_THREAD, leave)
+        first = struct.pack(_ITIMERSPEC, 0, 0, *divmod(int(seconds * 1e9), 10**9))
+        if not libc.timer_create(_CLOCK_MONOTONIC, event, ctypes.byref(timer)):
+            libc.timer_settime(timer, 0, first, None)
+            ending.callback(libc.timer_delete, timer)
     except (OSError, AttributeError):  # another C library
-        return contextlib.nullcontext()
-    return _deleting(libc, timer)
-
-
-@contextlib.contextmanager
-def _deleting(libc: ctypes.CDLL, timer: ctypes.c_void_p) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        libc.timer_delete(timer)
+        pass
+    return ending
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

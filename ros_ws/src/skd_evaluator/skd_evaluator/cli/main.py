@@ -45,10 +45,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         begin_command()
         verbose = getattr(arguments, "verbose", False)
         if getattr(arguments, "graph", arguments.command == "episode"):
-            from skd_sim import ros_environment
+            from skd_sim.ros_environment.installation import is_ready
+            from skd_sim.ros_environment.variables import enter_ros
 
-            if ros_environment.is_ready():
-                ros_environment.enter_ros()  # before anything slow is imported, for it begins this process anew
+            if is_ready():
+                enter_ros()  # before anything slow is imported, for it begins this process anew
         as_json = getattr(arguments, "json", False)
         if as_json:
             keep_for_json()

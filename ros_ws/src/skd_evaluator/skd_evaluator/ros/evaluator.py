@@ -11,7 +11,6 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -324,40 +323,34 @@ class Evaluator(GraphNode):
 
     def _on_frame(self, stamp: int, frame: Frame) -> None:
         self._heard = time.monotonic()
-        self._add_adversary(stamp, frame.adversary)
-        self._add_car(stamp, frame.car)
+        self._add(stamp, frame.adversary)
+        self._add(stamp, frame.car)
 
     def _on_car(self, message: Odometry) -> None:
-        self._add_car(from_stamp(message.header.stamp), odometry_to_car(message))
+        self._add(from_stamp(message.header.stamp), odometry_to_car(message))
 
     def _on_adversary(self, message: Odometry) -> None:
-        self._add_adversary(from_stamp(message.header.stamp), odometry_to_adversary(message))
+        self._add(from_stamp(message.header.stamp), odometry_to_adversary(message))
 
-    def _add_car(self, stamp: int, car: CarState) -> None:
-        if stamp >= self._key.start:
-            with self._no_contradiction("car", EGO_ODOMETRY, stamp):
-                self._samples.add_car(stamp, car)
-            self._figures.take(stamp, car)
-            if self._marker_publisher.get_subscription_count() > 0:
-                self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
-
-    def _add_adversary(self, stamp: int, adversary: AdversaryState) -> None:
-        if stamp >= self._key.start:
-            with self._no_contradiction("adversary", ADVERSARY_ODOMETRY, stamp):
-                self._samples.add_adversary(stamp, adversary.x, adversary.y)
-            self._figures.take(stamp, adversary)
-
-    @contextmanager
-    def _no_contradiction(self, whose: str, topic: str, stamp: int) -> Iterator[None]:
+    def _add(self, stamp: int, state: CarState | AdversaryState) -> None:
+        if stamp < self._key.start:
+            return
         try:
-            yield
+            if isinstance(state, CarState):
+                self._samples.add_car(stamp, state)
+            else:
+                self._samples.add_adversary(stamp, state.x, state.y)
         except UsageError as error:
             self._require_alone()
-            at = (stamp - self._key.start) / NANOSECONDS
+            whose, topic = ("car", EGO_ODOMETRY) if isinstance(state, CarState) else ("adversary", ADVERSARY_ODOMETRY)
             raise AssessmentError(
-                f"two different states of the {whose} came for {at:.3f} s of the episode: another node, which is gone, "
-                f"has published {self.resolve_topic_name(topic)}, or the simulator contradicts itself"
+                f"two different states of the {whose} came for {(stamp - self._key.start) / NANOSECONDS:.3f} s of the "
+                f"episode: another node, which is gone, has published {self.resolve_topic_name(topic)}, or the "
+                "simulator contradicts itself"
             ) from error
+        self._figures.take(stamp, state)
+        if isinstance(state, CarState) and self._marker_publisher.get_subscription_count():
+            self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
 
     def _on_result(self, message: EpisodeResult) -> None:
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:

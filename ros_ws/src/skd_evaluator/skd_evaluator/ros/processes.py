@@ -24,7 +24,7 @@ from skd_sim.controllers.isolated import FAILED_STARTS
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import printable
 from skd_sim.options.car_under_test import WORLD, CarUnderTest
-from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
+from skd_sim.ros_environment.variables import foreign_variables, is_sourced, node_variables
 from skd_sim.world.episode import AbortKind, EpisodeLog, Outcome, abort_reason, kind_of
 
 from skd_evaluator.assessment.options import GraphOptions
@@ -38,6 +38,8 @@ _CALLED = {
 }
 _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
+_UNANSWERED = 10
+"""After so many episodes in a row in which a node hangs, or is too slow, the campaign is given up."""
 END_LIMIT = 2.0
 """Seconds that a process has to end after SIGINT; half of them after SIGTERM, which follows."""
 _CANNOT_START = (2, 126, 127)
@@ -169,6 +171,7 @@ class _Process:
         self.name, self.program, self.log = name, program, log
         self.restarts = 0
         self.said = False
+        self.given_up = ""
         self._popen: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
@@ -270,6 +273,8 @@ class Supervisor:
         problems = []
         for process in self._processes:
             code = process.code
+            if process.given_up:
+                raise GraphError(process.given_up)
             if code is None:
                 continue
             how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
@@ -286,7 +291,8 @@ class Supervisor:
                 hint = ""
                 if lacks and not is_sourced(process.program.environment):
                     hint = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
-                raise GraphError(f"{problem}, for the {process.restarts}. time; its last words: {last[-1]}{hint}")
+                process.given_up = f"{problem}, for the {process.restarts}. time; its last words: {last[-1]}{hint}"
+                raise GraphError(process.given_up)
             process.start()
         return " and ".join(problems) or None
 
@@ -339,23 +345,26 @@ class AbortedEpisodes:
         self._say = say
         self._log_folder = log_folder
         self._said: set[AbortKind] = set()
-        self._failed_starts = 0
+        self._failed_starts = self._unanswered = 0
 
     def note(self, log: EpisodeLog) -> None:
         """Take note of an episode.
 
         Raises:
-            AssessmentError: it is the last of several in a row that were aborted before their first tick.
+            AssessmentError: it is the last of several in a row that were not answered, or never began.
         """
         if log.outcome != Outcome.ABORTED:
-            self._failed_starts = 0
+            self._failed_starts = self._unanswered = 0
             return
         self.reasons.append(log.reason)
         self._failed_starts = 0 if len(log.adversary) > 1 else self._failed_starts + 1
         kind = kind_of(log.reason)
+        self._unanswered = self._unanswered + 1 if kind == AbortKind.NO_ANSWER else 0
         if kind not in self._said:
             self._said.add(kind)
             where = f"; log: {log_of(self._log_folder, log.reason)}" if self._log_folder else ""
             self._say(f"an episode was aborted, the first one so: {log.reason}{where}")
         if self._failed_starts >= FAILED_STARTS:
             raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
+        if self._unanswered >= _UNANSWERED:
+            raise AssessmentError(f"{_UNANSWERED} episodes in a row were not answered, the last one so: {log.reason}")

@@ -328,20 +328,19 @@ def _build(packages: Sequence[MessagePackage], place: Path) -> None:
     target = Path(tempfile.mkdtemp(prefix=".building-", dir=place.parent))
     try:
         for package in packages:
-            with tempfile.TemporaryDirectory(prefix="skd-messages-") as copies:
-                build_messages([_copy(package, Path(copies))], compiler, target, log)
+            build_messages([package], compiler, target, log)
         target.rename(place)
     finally:
         shutil.rmtree(target, ignore_errors=True)
 
 
-def _copy(package: MessagePackage, place: Path) -> MessagePackage:
-    """Return a copy of a package with its messages alone, and with a package.xml in which nothing is missing.
+def _copy(package: MessagePackage, folder: Path) -> None:
+    """Copy a package into a new folder: its messages alone, and a package.xml in which nothing is missing.
 
     What else is in it, a build of its own, services, rules for a linter, is nothing that a command needs.
     """
-    folder = place / package.name
     (folder / "msg").mkdir(parents=True)
+    shutil.copy(_HERE / "package.cmake", folder / "CMakeLists.txt")
     for file in package.files[1:]:
         shutil.copy(file, folder / "msg")
     uses = "".join(f"<depend>{name}</depend>" for name in package.dependencies())
@@ -351,7 +350,6 @@ def _copy(package: MessagePackage, place: Path) -> MessagePackage:
         "<member_of_group>rosidl_interface_packages</member_of_group></package>\n",
         encoding="utf-8",
     )
-    return MessagePackage(folder)
 
 
 def find_compiler() -> list[str] | None:
@@ -425,8 +423,7 @@ def build_messages(packages: Sequence[MessagePackage], compiler: list[str] | Non
             folder.mkdir()
         shutil.copy(_HERE / "CMakeLists.txt", source)
         for package in packages:
-            shutil.copytree(package.folder, source / package.name)
-            shutil.copy(_HERE / "package.cmake", source / package.name / "CMakeLists.txt")
+            _copy(package, source / package.name)
         cmake_prefix(prefix)
         environment = node_variables(os.environ)
         environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment.get("PATH", os.defpath)])

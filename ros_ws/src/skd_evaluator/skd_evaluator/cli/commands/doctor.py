@@ -16,7 +16,8 @@ from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from typing import Any
 
-from skd_sim import ros_environment
+from skd_sim.ros_environment.installation import is_ready
+from skd_sim.ros_environment.variables import is_sourced, node_variables
 from skd_sim.start import PACKAGES, environment, installing
 
 from skd_evaluator.cli.arguments import add_flag
@@ -129,8 +130,8 @@ def _kernels() -> Finding:
 
 def _ros(*, round_trip: bool, ask: Callable[[], dict[str, Any]] | None = None) -> Iterator[Finding]:
     """Yield what there is of ROS 2, for the node graph; nothing is installed here."""
-    sourced = ros_environment.is_sourced()
-    if not ros_environment.is_ready():
+    sourced = is_sourced()
+    if not is_ready():
         text = "not added yet, for the node graph (--graph, scripts/run-node)"
         yield Finding("ROS 2", ABSENT, text, "the first command with --graph adds it, which takes a minute")
         return
@@ -164,7 +165,7 @@ def _ros(*, round_trip: bool, ask: Callable[[], dict[str, Any]] | None = None) -
 def _asked() -> dict[str, Any]:
     """Return what a process with ROS 2 says of it."""
     words = [sys.executable, "-P", "-m", "skd_sim.ros.round_trip"]
-    variables = ros_environment.node_variables(dict(os.environ))
+    variables = node_variables(dict(os.environ))
     variables.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:
         done = subprocess.run(words, env=variables, capture_output=True, text=True, timeout=_PATIENCE, check=False)
