@@ -88,27 +88,6 @@ class VendorController(Node):
         self._publisher.publish(message)
 
 
-class OtherAdversary(Node):
-    """An adversary of somebody else's: walks East, and from a certain message on at another speed."""
-
-    def __init__(self) -> None:
-        super().__init__("other_adversary")
-        self._after = self.declare_parameter("after", 3).value
-        self._then = self.declare_parameter("then", "nan").value
-        self._count = 0
-        self._publisher = self.create_publisher(TwistStamped, "/adversary/velocity_command", 10)
-        self.create_subscription(Odometry, "/ego/odometry", self._on_odometry, 10)
-
-    def _on_odometry(self, odometry: Odometry) -> None:
-        if odometry.header.stamp.nanosec or odometry.header.stamp.sec == 0:
-            self._count += 1
-        if self._count >= self._after and self._then == "silence":
-            return
-        message = TwistStamped(header=odometry.header)
-        message.twist.linear.x = float(self._then) if self._count >= self._after else 1.0
-        self._publisher.publish(message)
-
-
 def run(make: Callable[[], Node], args: Sequence[str]) -> int:
     """Run a node until it is told to end.
 
@@ -138,7 +117,6 @@ def main(args: Sequence[str]) -> int:
         "scan": ScanBraker,
         "clock": ClockFollower,
         "vendor": VendorController,
-        "adversary": OtherAdversary,
     }
     return run(nodes[args[0]], args)
 
