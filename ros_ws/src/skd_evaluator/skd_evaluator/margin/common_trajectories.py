@@ -16,7 +16,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
-from skd_sim.scenario.scenario import scenario_from_dict
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import Trajectory
 
@@ -85,10 +85,10 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
 def _hits(result: StoredResult, hits_per_phi: Hits) -> list[OtherHit]:
     """Return the hits of least deviation of a result, least first."""
     found = [(hit, phi) for phi, mine in zip(result.safe, hits_per_phi, strict=True) for hit in mine if hit is not None]
-    return [OtherHit(phi, _whole(hit)) for hit, phi in sorted(found, key=lambda one: one[0].distance)]
+    return [OtherHit(phi, whole_trajectory(hit)) for hit, phi in sorted(found, key=lambda one: one[0].distance)]
 
 
-def _whole(hit: Hit) -> FloatArray:
+def whole_trajectory(hit: Hit) -> FloatArray:
     """Return the positions of a hit, n × 2, m, the last of them not at the contact but at the end of its tick."""
     positions = hit.trajectory.positions
     before, contact = positions[-2:]
@@ -109,7 +109,7 @@ def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress
     first = trials[0]
     with InProcessRunner(available_workers(), isolated=not first.car.is_own) as runner:
         runner.start()
-        logs = list(runner.run([prescribed(trial, _whole(hit)) for trial, hit in hit_in]))
+        logs = list(runner.run([prescribed(trial, whole_trajectory(hit)) for trial, hit in hit_in]))
         again = sum(_repeats(trial, hit.distance, log) for (trial, hit), log in zip(hit_in, logs, strict=True))
         if again < len(logs):
             raise AssessmentError(
@@ -127,15 +127,33 @@ def _trials(result: StoredResult) -> list[EpisodeSpec]:
     Raises:
         UsageError: its car cannot be run here.
     """
+    car, scenario = car_of(result), scenario_of(result)
+    plan = Plan(scenario, controller=car.controller, multiplier=car.multiplier, seed=int(result.figures["seed"]))
+    safe = [Trajectory(phi, scenario.time_step, f"φ {index}") for index, phi in enumerate(result.safe)]
+    return plan.trials(safe, len(result.groups[MARGIN][0]))
+
+
+def car_of(result: StoredResult) -> CarUnderTest:
+    """Return the car of a result, which can be run here.
+
+    Raises:
+        UsageError: it cannot.
+    """
     figures = result.figures
     simulator = str((figures.get("options") or {}).get("simulator", WORLD))
     car = CarUnderTest(figures["controller"], figures["multiplier"] or CarUnderTest.multiplier)
     if car.is_external or not is_own_world(simulator):
         raise UsageError("its car is a node of its own" if car.is_external else f"it was in simulator {simulator}")
-    scenario = check_controller(car, scenario_from_dict(figures["scenario"], str(result.folder)))
-    plan = Plan(scenario, controller=car.controller, multiplier=car.multiplier, seed=int(figures["seed"]))
-    safe = [Trajectory(phi, scenario.time_step, f"φ {index}") for index, phi in enumerate(result.safe)]
-    return plan.trials(safe, len(result.groups[MARGIN][0]))
+    return car
+
+
+def scenario_of(result: StoredResult) -> Scenario:
+    """Return the scenario of a result, with the control period that its car declares.
+
+    Raises:
+        UsageError: its car does not go with it.
+    """
+    return check_controller(car_of(result), scenario_from_dict(result.figures["scenario"], str(result.folder)))
 
 
 def _repeats(trial: EpisodeSpec, distance: float, log: EpisodeLog) -> bool:

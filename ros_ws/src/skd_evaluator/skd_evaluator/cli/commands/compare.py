@@ -24,7 +24,9 @@ from skd_evaluator.cli.output import finish, is_read
 from skd_evaluator.cli.parser import Parser, rare
 
 if TYPE_CHECKING:
+    from skd_evaluator.assessment.context import Progress
     from skd_evaluator.assessment.files.results import StoredResult
+    from skd_evaluator.cli.explain import Explanation
 
 
 def add(parser: Parser) -> None:
@@ -37,6 +39,8 @@ def add(parser: Parser) -> None:
     parser.set_defaults(group="compare and gate")
     text = "folder of an assessment, a campaign, or one above some; the others are compared with the first"
     add_paths(parser, "paths", "DIR", text, nargs="*")
+    text = "find the smallest trial in which only one of two cars hits, and write it as scenario, test and pictures"
+    add_flag(parser, "--explain", text)
     add_flag(parser, "--no-pictures", rare("draw no pictures, which saves about half a second"))
     size = parser.add_argument_group("how many trajectories")
     goal = size.add_mutually_exclusive_group()
@@ -102,6 +106,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             first, second, said = on_common_trajectories(results[0], other, progress)
             compared.append(compare(first, second, confidence))
             tried += said
+        found = explanations(results, names, progress) if arguments.explain else []
     entries = [
         {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
@@ -113,15 +118,20 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         "ranked_by": ranked_by,
         "confidence": confidence,
         "comparisons": entries,
+        **({"only_one_hits": [one.as_dict() for one in found]} if arguments.explain else {}),
         "warnings": list(dict.fromkeys(warnings)),
     }
 
     def show() -> None:
         print_table(comparison_table(rows, ranked_by))
         print_table(verdict_table(entries, names[0], confidence))
+        for one in found:
+            print(one.text)
 
     def write(folder: Path) -> None:
         write_json(folder / "comparison.json", content)
+        for one in found:
+            one.write(folder)
         if not arguments.pictures:
             return
         from skd_evaluator.report.charts import save_comparison  # slow to import, and needed only now
@@ -134,8 +144,23 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     def place() -> None:
         if not problem:
             print(f"results in {out.path}")
+            for one in found:
+                print(one.command(out.path))
 
     return max(finish(arguments, content, place, warnings, [problem]), not read)
+
+
+def explanations(results: Sequence[StoredResult], names: Sequence[str], progress: Progress) -> list[Explanation]:
+    """Return the smallest trials in which only one of the first car and another one hits, for each other car."""
+    from skd_evaluator.cli.explain import Explanation
+    from skd_evaluator.margin.telling_trial import telling_trials
+
+    found = []
+    for name, other in zip(names[1:], results[1:], strict=True):
+        both = names[0], name
+        for hits, misses, trial in zip(both, both[::-1], telling_trials(results[0], other, progress), strict=True):
+            found.append(Explanation(hits, misses, trial))
+    return found
 
 
 def labels(results: Sequence[StoredResult]) -> list[str]:
