@@ -125,7 +125,9 @@ def main() -> None:
             believed = [each for each in found if each.after <= POOR]
             for name in case.free:
                 own = PARAMETERS[name].of(world)
-                ones = [one for each in believed for one in each.told if one.parameter.name == name and one.interval]
+                ones = [
+                    one for each in believed for one in each.identified if one.parameter.name == name and one.interval
+                ]
                 true = case.truth.get(name, own)
                 if not ones:
                     print(f"| {case.name} | {count} | {name} | {true:g} | | | | 0 |", flush=True)

@@ -54,11 +54,11 @@ def off_of(places: list[np.ndarray]):
 def test_a_delay_is_the_mean_of_the_trials_delays_with_the_jackknife_s_error():
     places, delays = trials_off(np.random.default_rng(1), 10, 0.27, 15.0)
     found = estimated(off_of(places), START, ["delay"], list(range(10)))
-    (one,) = found.told
+    (one,) = found.identified
     assert one.value == pytest.approx(np.mean(delays), abs=0.004)
     # Each trial left out, and all of it estimated anew.
     again = [
-        estimated(off_of(places[:index] + places[index + 1 :]), START, ["delay"], list(range(9))).told[0].value
+        estimated(off_of(places[:index] + places[index + 1 :]), START, ["delay"], list(range(9))).identified[0].value
         for index in range(10)
     ]
     error = math.sqrt(0.9 * np.sum((np.array(again) - np.mean(again)) ** 2))
@@ -79,16 +79,16 @@ def test_a_limit_that_was_reached_is_told_and_one_that_was_not_is_not():
     assert by_name["friction"].value == 1.0
     assert by_name["friction"].reason == "the trials do not tell it from the brake's greatest deceleration"
     plain, _ = trials_off(np.random.default_rng(3), 12, 0.2, 15.0)
-    told = estimated(off_of(plain), START, list(START), list(range(12))).told
+    told = estimated(off_of(plain), START, list(START), list(range(12))).identified
     assert [one.parameter.name for one in told] == ["delay"]
 
 
 def test_trials_of_one_phi_are_one_draw():
     places, _ = trials_off(np.random.default_rng(4), 8, 0.2, 15.0)
-    once = estimated(off_of(places), START, ["delay"], list(range(8))).told[0]
+    once = estimated(off_of(places), START, ["delay"], list(range(8))).identified[0]
     thrice = estimated(
         off_of([one for one in places for _ in range(3)]), START, ["delay"], np.repeat(range(8), 3)
-    ).told[0]
+    ).identified[0]
     assert thrice.error == pytest.approx(once.error, rel=1e-6)
     with pytest.raises(ValueError, match="4 φ are too few"):
         estimated(off_of(places[:4]), START, ["delay"], list(range(4)))

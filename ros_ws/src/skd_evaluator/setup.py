@@ -53,7 +53,7 @@ setup(
         "skd.commands": [
             "campaign = skd_evaluator.extensions.campaign.options:add_campaign",
             "ncap = skd_evaluator.extensions.ncap.options:add_ncap",
-            "fuse = skd_evaluator.extensions.fusion.options:add_fuse",
+            "fuse = skd_evaluator.extensions.fusion.command:add_fuse",
             "export = skd_evaluator.extensions.exchange.options:add_export",
             "import = skd_evaluator.extensions.exchange.options:add_import",
         ],

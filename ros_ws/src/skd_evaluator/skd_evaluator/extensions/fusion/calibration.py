@@ -1,7 +1,7 @@
 """Calibration: parameters of the simulated car and road by least squares over recorded trials, with intervals.
 
 What is compared is where the car is along the road, tick by tick, in the recording and in the simulation of the same
-trial. The controller is asked with car and road user as they were recorded, so that its commands are those of the trial
+trial. The controller gets car and road user as they were recorded, so that its commands are those of the trial
 whatever the simulated car does. A car that decides by what it sees would otherwise decide otherwise after the first
 small difference, and late parts of a trial would say nothing of brake and road.
 
@@ -18,14 +18,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy import special
 from scipy.optimize import least_squares
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import DYNAMICS
+from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.simulators.simulator import Frame, WorldSimulator
@@ -33,12 +33,14 @@ from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import CarState, Trajectory
 
 from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS
 from skd_evaluator.metrics.clustered import student_quantile
 from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.metrics.surrogate_scenes import Interaction
 
+RESULT, SCENARIO = "simulator.json", "simulator.yaml"
 TYRES = "multi_body"
 """Dynamics that take the place of those without a brake and tyres."""
 
@@ -186,10 +188,10 @@ def recorded(scenario: Scenario, scene: Interaction, phi: str, where: str) -> Re
     ticks = int(scene.times[-1] / scenario.time_step + 1e-6)
     if ticks < 2:
         raise UsageError(f"{where}: the trial lasts {scene.times[-1]:.1f} s, too short to calibrate with")
-    speed, wanted = float(scene.car[0, 3]), scenario.car.start_speed
-    if abs(speed - wanted) > _OFF_SPEED * wanted:
+    speed, simulated = float(scene.car[0, 3]), scenario.car.start_speed
+    if abs(speed - simulated) > _OFF_SPEED * simulated:
         raise UsageError(
-            f"{where}: the car begins at {speed:.2f} m/s, and in the simulation at {wanted:.2f}: simulate the speed "
+            f"{where}: the car begins at {speed:.2f} m/s, and in the simulation at {simulated:.2f}: simulate the speed "
             "of the trials (--set car.start_speed=…)"
         )
     times = scenario.time_step * np.arange(ticks + 1)
@@ -288,7 +290,7 @@ class SimulatorCalibration:
     by_trial: FloatArray
 
     @property
-    def told(self) -> tuple[ParameterEstimate, ...]:
+    def identified(self) -> tuple[ParameterEstimate, ...]:
         """Those that have an interval."""
         return tuple(one for one in self.estimates if one.interval is not None)
 
@@ -296,6 +298,38 @@ class SimulatorCalibration:
     def values(self) -> dict[str, float]:
         """Values of all parameters of the simulated world, by name."""
         return {one.parameter.name: one.value for one in self.estimates}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to know of them, a line each."""
+        if not self.identified:
+            return ["the trials say nothing of the simulator's parameters"]
+        return [
+            f"{one.parameter.text} is at the end of its range, {one.parameter.shown(one.value)}"
+            for one in self.identified
+            if one.value in one.parameter.range
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what simulator.json says of them."""
+        return {
+            "parameters": {
+                one.parameter.name: {
+                    "place": one.parameter.place,
+                    "unit": one.parameter.unit,
+                    "value": one.value,
+                    "ci95": one.interval and list(one.interval),
+                    "standard_error": one.error,
+                    "reason": one.reason or None,
+                }
+                for one in self.estimates
+            },
+            "covariance": self.covariance.tolist(),
+            "degrees_of_freedom": self.freedom,
+            "places_off_before": self.before,
+            "places_off_after": self.after,
+            "places_off_by_trial": self.by_trial.tolist(),
+        }
 
 
 def estimated(
@@ -318,20 +352,21 @@ def estimated(
         raise ValueError(f"trials on {count} φ are too few to calibrate with: at least {LEAST_PAIRS} are needed")
     values, reasons = _begun(misfit, dict(start), free)
     names = [name for name in free if not PARAMETERS[name].is_limit or values[name] != start[name]]
-    maybe: list[tuple[FloatArray, FloatArray]] = []
-    spread = np.zeros((0, 0))
+    ends: dict[str, list[Interval]] = {name: [] for name in names}
+    spread, reach = np.zeros((0, 0)), np.zeros(0)
     while names:
         values = misfit.fitted(values, names)
         dropped = _dropped(misfit.slopes(values, names), names)
         if dropped is None:
-            quantile = student_quantile(max(1.0, count - len(names)), confidence)
             spread = misfit.covariance(values, names)
-            maybe.append(_ends(values, names, quantile * np.sqrt(np.diag(spread))))
+            reach = student_quantile(max(1.0, count - len(names)), confidence) * np.sqrt(np.diag(spread))
+            for name, far in zip(names, reach.tolist(), strict=True):
+                low, high = PARAMETERS[name].range
+                ends[name].append((max(low, values[name] - far), min(high, values[name] + far)))
             dropped = _not_shown(misfit, values, start, names, count)
             if dropped is None:
                 break
         name, reasons[name] = dropped
-        maybe = [tuple(np.delete(end, names.index(name)) for end in both) for both in maybe]  # type: ignore[misc]
         names.remove(name)
         values[name] = start[name]
     found = {
@@ -340,12 +375,12 @@ def estimated(
         if name in values
     }
     if names:  # intervals hold those with a limit, too, that was left out and may be there
-        low, high = np.min([one for one, _ in maybe], axis=0), np.max([one for _, one in maybe], axis=0)
+        both = [(min(low for low, _ in ends[name]), max(high for _, high in ends[name])) for name in names]
         at = np.array([values[name] for name in names])
-        wider = np.maximum(1.0, np.maximum(at - low, high - at) / (quantile * np.sqrt(np.diag(spread))))
+        wider = np.maximum(1.0, np.abs(np.transpose(both) - at).max(axis=0) / reach)
         spread = spread * np.outer(wider, wider)
-        for name, begin, end, error in zip(names, low.tolist(), high.tolist(), np.sqrt(np.diag(spread)), strict=True):
-            found[name] = ParameterEstimate(PARAMETERS[name], values[name], (begin, end), float(error))
+        for name, interval, error in zip(names, both, np.sqrt(np.diag(spread)).tolist(), strict=True):
+            found[name] = ParameterEstimate(PARAMETERS[name], values[name], interval, error)
     order = [names.index(name) for name in found if name in names]
     before, after = (math.sqrt(np.mean(misfit.together(one) ** 2)) for one in (start, values))
     by_trial = np.array([math.sqrt(np.mean(one**2)) for one in misfit(values)])
@@ -353,11 +388,45 @@ def estimated(
     return SimulatorCalibration(tuple(found.values()), spread[np.ix_(order, order)], freedom, before, after, by_trial)
 
 
-def _ends(values: Mapping[str, float], names: Sequence[str], reach: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return both ends of the intervals of parameters, within their ranges."""
-    low, high = np.array([PARAMETERS[name].range for name in names]).T
-    at = np.array([values[name] for name in names])
-    return np.maximum(low, at - reach), np.minimum(high, at + reach)
+def calibration_of(
+    world: Scenario, car: CarUnderTest, trials: Sequence[Recorded], names: Sequence[str] | None, workers: int
+) -> SimulatorCalibration:
+    """Return the parameters of a simulated world by trials of a car.
+
+    Args:
+        world: the scenario as it was simulated.
+        car: whose controller drives the trials again.
+        trials: as they were recorded.
+        names: of the parameters that may be estimated; None: all.
+        workers: number of processes.
+
+    Raises:
+        UsageError: too few φ, a parameter that the world does not have, or cars that are not alike with any values.
+    """
+    known = [name for name, one in PARAMETERS.items() if not one.sensing or world.sensor is not None]
+    if absent := [one for one in names or () if one not in known]:
+        raise UsageError(f"{absent[0]} cannot be calibrated: scenario {world.name} has no sensor")
+    start = {name: PARAMETERS[name].of(calibrated(world, {})) for name in known}
+    numbers = list(dict.fromkeys(one.phi for one in trials))
+    with InProcessRunner(workers, isolated=not car.is_own) as runner:
+        runner.start()
+
+        def off(values: Mapping[str, float]) -> list[np.ndarray]:
+            scenario = calibrated(world, values)
+            drives = [ReplayedDrive(one, scenario, car.controller, car.multiplier) for one in trials]
+            return list(runner.map(off_by, drives))
+
+        try:
+            free = [name for name in known if not names or name in names]
+            found = estimated(off, start, free, [numbers.index(one.phi) for one in trials])
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+    if found.after > POOR:
+        raise UsageError(
+            f"with the best parameters simulated cars are {found.after:.2f} m (root mean square) from where recorded "
+            f"ones were, more than {POOR:g} m: it is another car, or other software"
+        )
+    return found
 
 
 class _Misfit:

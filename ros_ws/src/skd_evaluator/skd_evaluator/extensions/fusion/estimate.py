@@ -46,7 +46,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy
 from scipy import special
 from skd_sim.arrays import FloatArray
 
@@ -60,22 +59,8 @@ _SEED = 28
 _NOTHING = 1e-12
 
 
-@dataclass(frozen=True)
-class Reach:
-    """How many times as far as Student's an interval reaches, at least 1.
-
-    Attributes:
-        below: from the estimate to the lower end.
-        above: from the estimate to the upper end.
-    """
-
-    below: float = 1.0
-    above: float = 1.0
-
-    @property
-    def further(self) -> float:
-        """The greater of the two."""
-        return max(self.below, self.above)
+Reach = tuple[float, float]
+"""How many times as far as Student's an interval reaches below and above the estimate, at least 1."""
 
 
 def rehearsed(
@@ -99,11 +84,11 @@ def rehearsed(
     shape = np.sort(population - math.fsum(population) / population.size)
     deviation = float(np.sqrt(np.mean(shape**2)))
     if not deviation > 1e-9 * float(np.abs(population).max()):
-        return Reach()
+        return 1.0, 1.0
     low, high = _quantiles(shape / deviation, count, confidence, by_line=by_line, least=least)
     normal_low, normal_high = _of_normal(shape.size, count, confidence, by_line=by_line, least=least)
     below, above = max(1.0, high / normal_high), max(1.0, low / normal_low)
-    return Reach(above, below) if mirrored else Reach(below, above)
+    return (above, below) if mirrored else (below, above)
 
 
 def kurtosis(population: FloatArray) -> float:
@@ -126,7 +111,10 @@ def _quantiles(shape: FloatArray, count: int, confidence: float, *, by_line: boo
     draws = max(_LEAST, min(_DRAWS, _NUMBERS // count))
     unknown = shape[rng.integers(shape.size, size=(draws, count))]
     known = shape[rng.integers(shape.size, size=(draws, count))] if by_line else unknown
-    estimate, squared = _by_line(unknown, known) if by_line else _by_itself(unknown)
+    if by_line:
+        estimate, squared = _by_line(unknown, known)
+    else:
+        estimate, squared = unknown.mean(axis=1), unknown.var(axis=1, ddof=1) / count
     told = known.var(axis=1, ddof=1) >= max(_NOTHING, least)
     if int(told.sum()) < _LEAST // 2:
         return -math.inf, math.inf
@@ -135,11 +123,6 @@ def _quantiles(shape: FloatArray, count: int, confidence: float, *, by_line: boo
     tail = 0.5 - confidence / 2.0
     low, high = np.quantile(off, [tail, 1.0 - tail], method="higher")
     return float(low), float(high)
-
-
-def _by_itself(unknown: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of each row, of which the truth is 0, and its squared error."""
-    return unknown.mean(axis=1), unknown.var(axis=1, ddof=1) / unknown.shape[1]
 
 
 def _by_line(unknown: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -202,26 +185,26 @@ class Line:
 
 def fitted_line(y: FloatArray, x: FloatArray) -> Line:
     """Return the line through pairs of a physical and a simulated figure."""
-    spread, common, own = (float(one @ other) for one, other in _centred(y, x))
+    a, b = x - math.fsum(x) / x.size, y - math.fsum(y) / y.size
+    spread, common, own = float(a @ a), float(a @ b), float(b @ b)
     if spread <= _rounding(x) or own <= _rounding(y):
         return Line(None if spread <= _rounding(x) else 0.0, None, 1.0, own / max(1, y.size - 2), spread)
     slope, freedom = common / spread, y.size - 2.0
     left = max(0.0, own - slope * common)
     correlation = max(-1.0, min(1.0, common / math.sqrt(spread * own)))
-    beyond = math.inf if left <= _rounding(y) else correlation * math.sqrt(freedom / (left / own))
-    chance = (
-        float(scipy.special.stdtr(freedom, -beyond)) if math.isfinite(beyond) else 0.0 if correlation > 0.0 else 1.0
-    )
-    return Line(slope, correlation, chance, left / freedom, spread)
+    if left <= _rounding(y):
+        return Line(slope, correlation, float(correlation <= 0.0), left / freedom, spread)
+    beyond = correlation * math.sqrt(freedom / (left / own))
+    return Line(slope, correlation, float(special.stdtr(freedom, -beyond)), left / freedom, spread)
 
 
-def alone(y: FloatArray, confidence: float = 0.95, reach: Reach | None = None) -> Mean:
+def alone(y: FloatArray, confidence: float = 0.95, reach: Reach = (1.0, 1.0)) -> Mean:
     """Return the mean of physical figures, one of each φ, by themselves: Student's interval, further out where skewed.
 
     Args:
         y: the figures.
         confidence: two-sided.
-        reach: how many times as far as Student's the interval reaches; None: not further.
+        reach: how many times as far as Student's the interval reaches.
 
     Raises:
         ValueError: they are all the same: nothing is known of how they vary.
@@ -243,7 +226,7 @@ def fused(
     confidence: float = 0.95,
     *,
     wrong: float = 0.0,
-    reach: Reach | None = None,
+    reach: Reach = (1.0, 1.0),
 ) -> Mean:
     """Return the mean over all φ from pairs and from every simulated figure.
 
@@ -253,8 +236,8 @@ def fused(
         population: simulated figures of all φ, those of the pairs among them.
         line: through the pairs; it has a slope.
         confidence: two-sided.
-        wrong: trials in which the simulator was wrong that are added to the residuals (`figures.Figure`).
-        reach: how many times as far as Student's the interval reaches; None: not further.
+        wrong: trials in which the simulator was wrong that are added to the residuals (`TrialFigure`).
+        reach: how many times as far as Student's the interval reaches.
 
     Raises:
         ValueError: the pairs lie on a line to the last digit, which no physical trial does.
@@ -266,27 +249,18 @@ def fused(
         return alone(y, confidence, reach)
     freedom = y.size - 2.0
     left = (line.residual * freedom + wrong * float(np.var(y, ddof=1))) / (freedom + wrong)
-    value, error, residuals = regressed(y, x, population, line, left)
+    value, error, residuals = _regressed(y, x, population, line, left)
     return Mean(value, _interval(value, error, freedom, residuals, confidence, reach), error)
 
 
-def regressed(
-    y: FloatArray, x: FloatArray, population: FloatArray, line: Line, residual: float | None = None
+def _regressed(
+    y: FloatArray, x: FloatArray, population: FloatArray, line: Line, residual: float
 ) -> tuple[float, float, FloatArray]:
-    """Return the regression estimator, its standard error and the residuals of the pairs; see the module.
-
-    Args:
-        y: physical figures.
-        x: simulated figures of the same φ.
-        population: simulated figures of all φ.
-        line: through the pairs.
-        residual: residual variance to take instead of the line's.
-    """
+    """Return the regression estimator, its standard error by a residual variance, and the residuals of the pairs."""
     slope, centre = line.slope or 0.0, math.fsum(x) / x.size
     off = math.fsum(population) / population.size - centre
     residuals = y - math.fsum(y) / y.size - slope * (x - centre)
-    left = line.residual if residual is None else residual
-    squared = left * (1.0 / y.size + off * off / line.spread)
+    squared = residual * (1.0 / y.size + off * off / line.spread)
     squared += slope * slope * float(np.var(population, ddof=1)) / population.size
     return math.fsum(y) / y.size + slope * off, math.sqrt(squared), residuals
 
@@ -304,7 +278,7 @@ def stand_for_all(x: FloatArray, population: FloatArray) -> bool:
 def least_variance(count: int) -> float:
     """Return the share of the variance over all φ that so many φ drawn by lot have in all but `SELDOM` of the cases."""
     freedom = count - 1.0
-    return float(scipy.special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
+    return float(special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
 
 
 def trials_saved(pairs: int, narrower: float, confidence: float) -> int:
@@ -324,14 +298,13 @@ def trials_saved(pairs: int, narrower: float, confidence: float) -> int:
 
 
 def _interval(
-    value: float, error: float, freedom: float, residuals: FloatArray, confidence: float, reach: Reach | None
+    value: float, error: float, freedom: float, residuals: FloatArray, confidence: float, reach: Reach
 ) -> Interval:
     """Return Student's interval, its end on the side of the residuals' long tail moved outwards."""
     quantile = student_quantile(freedom, checked_confidence(confidence))
     further = skewness(residuals) * (1.0 + 2.0 * quantile**2) / (6.0 * math.sqrt(residuals.size))
-    times = reach or Reach()
-    below = max(quantile * times.below, quantile - min(0.0, further))
-    above = max(quantile * times.above, quantile + max(0.0, further))
+    below = max(quantile * reach[0], quantile - min(0.0, further))
+    above = max(quantile * reach[1], quantile + max(0.0, further))
     return value - below * error, value + above * error
 
 
@@ -342,11 +315,6 @@ def skewness(residuals: FloatArray) -> float:
         return 0.0
     ratio = float(np.mean(residuals**3)) / float(square**1.5)
     return ratio * math.sqrt(count * (count - 1.0)) / (count - 2.0)
-
-
-def _centred(y: FloatArray, x: FloatArray) -> tuple[tuple[FloatArray, FloatArray], ...]:
-    a, b = x - math.fsum(x) / x.size, y - math.fsum(y) / y.size
-    return (a, a), (a, b), (b, b)
 
 
 def _rounding(values: FloatArray) -> float:
@@ -373,8 +341,7 @@ def alone_rate(groups: Sequence[FloatArray], confidence: float = 0.95) -> Mean:
         confidence: two-sided.
     """
     counts = np.array([one.size for one in groups], dtype=np.float64)
-    rates = np.array([one.sum() for one in groups]) / counts
-    phi = len(groups)
+    rates, phi = np.array([one.sum() for one in groups]) / counts, len(groups)
     components = components_of(rates, counts, math.fsum(counts * rates * (1.0 - rates)))
     error, freedom = cluster_error(rates, counts, components, np.full(phi, 1.0 / phi))
     assert error is not None
@@ -388,14 +355,13 @@ def alone_rate(groups: Sequence[FloatArray], confidence: float = 0.95) -> Mean:
 
 def fused_rate(y: FloatArray, x: FloatArray, population: FloatArray, line: Line, confidence: float = 0.95) -> Mean:
     """Return the rate of hits over all φ from pairs and from every simulated rate; arguments as of `fused`."""
-    quantile = student_quantile(y.size - 2.0, checked_confidence(confidence))
-    centre = float(np.clip(math.fsum(y) / y.size, 1e-6, 1.0 - 1e-6))
     freedom = y.size - 2.0
+    centre = float(np.clip(math.fsum(y) / y.size, 1e-6, 1.0 - 1e-6))
     residual = (line.residual * freedom + _ADDED * centre * (1.0 - centre)) / (freedom + _ADDED)
-    value, error, _ = regressed(y, x, population, line, residual)
+    value, error, _ = _regressed(y, x, population, line, residual)
     rate = float(np.clip(value, 1e-6, 1.0 - 1e-6))
-    low, high = score_interval(rate, rate * (1.0 - rate) / error**2, quantile)
-    return Mean(min(1.0, max(0.0, value)), (low, high), error)
+    interval = score_interval(rate, rate * (1.0 - rate) / error**2, student_quantile(freedom, confidence))
+    return Mean(min(1.0, max(0.0, value)), interval, error)
 
 
 def enough_of_each(groups: Sequence[FloatArray]) -> bool:
@@ -442,7 +408,7 @@ def trials_for_width(
     """Return the least number of φ with a physical trial whose interval is expected to be so narrow.
 
     Args:
-        width: that is wanted.
+        width: that is requested, in the unit of the figure.
         deviation: of the figure from φ to φ.
         correlation: of physical and simulated figure; None: the physical trials stand alone.
         simulated: number of simulated φ.

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 from scipy import stats
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import one_line, read_json
+from skd_sim.inputs.model import YesNo, limits, read_model
 
 from skd_evaluator.extensions.fusion.estimate import (
     LEAST_OF_EACH,
@@ -31,10 +34,19 @@ from skd_evaluator.extensions.fusion.estimate import (
     stand_for_all,
     trials_saved,
 )
-from skd_evaluator.extensions.fusion.trials import FIGURES, GAP_TOLERANCE, Pairs, PhysicalTrial, TrialFigure, paired
+from skd_evaluator.extensions.fusion.trials import (
+    FIGURES,
+    GAP_TOLERANCE,
+    Pairs,
+    PhysicalTrial,
+    TrialFigure,
+    paired,
+    read_simulated,
+)
 from skd_evaluator.metrics.clustered import student_quantile
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_evaluator.metrics.statistics import Interval
+from skd_evaluator.report.formats import counted
 
 
 @dataclass(frozen=True)
@@ -57,18 +69,18 @@ class Gap:
     """Physical less simulated figure.
 
     Attributes:
-        by_phi: of each φ, in the order of the pairs.
-        mean: over these φ.
+        mean: over the φ with trials.
         interval: of the mean, by Student's t; None where all gaps are the same.
         by_simulated: whether it grows with the simulated figure: 0 where the simulator is off by the same everywhere.
         by_order: whether it grows from trial to trial, per trial: brakes that warm up, a track that dries.
+        by_phi: of each φ, in the order of the pairs.
     """
 
-    by_phi: FloatArray
     mean: float
     interval: Interval | None
     by_simulated: GapTrend | None
     by_order: GapTrend | None
+    by_phi: FloatArray
 
 
 def gap_of(y: FloatArray, x: FloatArray, trials: FloatArray, predicted: FloatArray, confidence: float = 0.95) -> Gap:
@@ -86,7 +98,7 @@ def gap_of(y: FloatArray, x: FloatArray, trials: FloatArray, predicted: FloatArr
     half = student_quantile(gaps.size - 1.0, confidence) * deviation / math.sqrt(gaps.size)
     interval = (centre - half, centre + half) if half > 0.0 else None
     order = trend(np.arange(trials.size, dtype=np.float64), trials - predicted, confidence)
-    return Gap(gaps, centre, interval, trend(x, gaps, confidence), order)
+    return Gap(centre, interval, trend(x, gaps, confidence), order, gaps)
 
 
 def trend(places: FloatArray, values: FloatArray, confidence: float = 0.95) -> GapTrend | None:
@@ -94,8 +106,7 @@ def trend(places: FloatArray, values: FloatArray, confidence: float = 0.95) -> G
     if places.size < 3 or not np.ptp(places) or not np.ptp(values) > 1e-9 * float(np.abs(values).max()):
         return None
     line = stats.linregress(places, values)
-    half = student_quantile(places.size - 2.0, confidence) * float(line.stderr)
-    slope = float(line.slope)
+    half, slope = student_quantile(places.size - 2.0, confidence) * float(line.stderr), float(line.slope)
     return GapTrend(slope, (slope - half, slope + half), float(line.pvalue))
 
 
@@ -152,7 +163,8 @@ class FusedFigure:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of fusion.json."""
-        names, pairs = self.pairs.names, self.pairs
+        pairs, gap = self.pairs, self.gap
+        rows = zip(pairs.names, pairs.groups, pairs.physical.tolist(), pairs.simulated.tolist(), strict=True)
         return {
             "unit": self.figure.unit,
             "value": self.stands.value,
@@ -164,24 +176,19 @@ class FusedFigure:
             "correlation": self.line.correlation,
             "slope": self.line.slope,
             "residual_deviation": self.line.residual**0.5,
-            "deviation": self.alone.error * len(names) ** 0.5,
+            "deviation": self.alone.error * len(pairs.names) ** 0.5,
             "physical_alone": asdict(self.alone),
             "with_simulator": self.with_simulator and asdict(self.with_simulator),
-            "phi": len(names),
+            "phi": len(pairs.names),
             "trials": pairs.trials.size,
             "simulated_phi": pairs.population.size,
             "simulated_mean": float(pairs.population.mean()),
             "trials_saved": self.saved,
             "gap": {
-                "mean": self.gap.mean,
-                "interval": self.gap.interval,
-                "by_simulated": self.gap.by_simulated and asdict(self.gap.by_simulated),
-                "by_order": self.gap.by_order and asdict(self.gap.by_order),
+                **asdict(gap),
                 "by_phi": [
                     {"phi": name, "trials": group.size, "physical": real, "simulated": said, "gap": real - said}
-                    for name, group, real, said in zip(
-                        names, pairs.groups, pairs.physical.tolist(), pairs.simulated.tolist(), strict=True
-                    )
+                    for name, group, real, said in rows
                 ],
             },
             "notes": list(self.notes),
@@ -228,19 +235,16 @@ def fuse(
         pairs = paired(figure, physical, simulated, tolerance)
         if pairs is None:
             continue
-        if not figure.is_rate and len(set(pairs.physical.tolist())) == 1:
-            left_out.append(
-                f"{figure.text}: {pairs.physical[0]:.6g} {figure.unit} on every φ with trials, so nothing is known of "
-                "how it varies, and nothing is said of other φ"
-            )
-            continue
         try:
+            if not figure.is_rate and not np.ptp(pairs.physical):
+                same = f"{pairs.physical[0]:.6g} {figure.unit}"
+                raise NotSaidError(f"{figure.text}: {same} on every φ with trials, so nothing is said of other φ")
             found.append(fused_figure(figure, pairs, share))
         except NotSaidError as error:
             left_out.append(str(error))
     if not found:
-        none = f"physical and simulated trials have no figure in common; known are {', '.join(FIGURES)}"
-        raise UsageError(left_out[0] if left_out else none)
+        left_out.append(f"physical and simulated trials have no figure in common; known are {', '.join(FIGURES)}")
+        raise UsageError(left_out[0])
     return Fusion(tuple(found), tuple(left_out))
 
 
@@ -251,40 +255,38 @@ def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedF
         NotSaidError: the φ with trials do not stand for all of them.
         UsageError: too few φ with trials, or figures that cannot be of trials.
     """
-    if len(pairs.names) < LEAST_PAIRS:
-        raise UsageError(
-            f"{len(pairs.trials)} physical trials on {len(pairs.names)} φ: at least {LEAST_PAIRS} φ with trials are "
-            "needed, for the interval speaks of all φ"
-        )
     y, x, population = pairs.physical, pairs.simulated, pairs.population
-    line, is_rate, why, both = fitted_line(y, x), figure.is_rate, "", None
-    _check_spread(figure, pairs, line)
+    if y.size < LEAST_PAIRS:
+        raise UsageError(f"trials on {y.size} φ: at least {LEAST_PAIRS} φ with physical trials are needed")
+    line, why, both, saved = fitted_line(y, x), "", None, 0
+    reach = reach_of_both = (1.0, 1.0)
     if line.slope is None:
         why = "the simulator says the same of all these φ"
-    elif is_rate and not enough_of_each(pairs.groups):
+    elif figure.is_rate and not enough_of_each(pairs.groups):
         why = f"there are fewer than {LEAST_OF_EACH} φ with a hit, or without one"
     try:
-        if is_rate:
+        if figure.is_rate:
             by_itself = alone_rate(pairs.groups, confidence)
             both = None if why else fused_rate(y, x, population, line, confidence)
         else:
-            by_itself = alone(y, confidence, _reach(figure, pairs, line, confidence, by_line=False))
+            _check_spread(figure, pairs, line)
+            reach = _reach(figure, pairs, line, confidence, by_line=False)
+            by_itself = alone(y, confidence, reach)
             if not why:
-                reach = _reach(figure, pairs, line, confidence, by_line=True)
-                both = fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach)
+                reach_of_both = _reach(figure, pairs, line, confidence, by_line=True)
+                both = fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach_of_both)
     except NotSaidError:
         raise
     except ValueError as error:
         raise UsageError(f"{figure.text}: {error}") from error
-    saved = 0
     if not why and not line.predicts:
         why = "the simulator does not predict this figure"
-    elif both is not None and is_rate:
+    elif both is not None and figure.is_rate:
         saved = max(0, int(y.size * (by_itself.width / both.width) ** 2) - y.size)
     elif both is not None:
         saved = trials_saved(y.size, both.width / by_itself.width, confidence)
     gap = gap_of(y, x, pairs.trials, pairs.predicted, confidence)
-    notes = tuple(_notes(figure, pairs, line, why, confidence))
+    notes = tuple(_notes(figure, pairs, why, max(reach if why else reach_of_both)))
     return FusedFigure(figure, pairs, confidence, by_itself, both, line, gap, saved, why, notes)
 
 
@@ -294,19 +296,17 @@ def _check_spread(figure: TrialFigure, pairs: Pairs, line: Line) -> None:
     Raises:
         NotSaidError: it is so.
     """
-    begin, x, count = f"{figure.text}: nothing is said, for", pairs.simulated, len(pairs.names)
-    if figure.is_rate:
-        return
-    if line.predicts and not stand_for_all(x, pairs.population):
-        few, every = (f"{np.std(one, ddof=1):.3g} {figure.unit}" for one in (x, pairs.population))
+    begin, x, population = f"{figure.text}: nothing is said, for", pairs.simulated, pairs.population
+    if line.predicts and not stand_for_all(x, population):
+        few, every = (f"{np.std(one, ddof=1):.3g} {figure.unit}" for one in (x, population))
         raise NotSaidError(
             f"{begin} the φ with trials are too alike (simulated standard deviation {few}, over all φ {every}): make "
             "more trials"
         )
-    if count < _FEW and kurtosis(pairs.shape) > _RARE:
+    if x.size < _FEW and kurtosis(pairs.shape) > _RARE:
         raise NotSaidError(
-            f"{begin} a few φ decide the mean (simulated kurtosis {kurtosis(pairs.shape):.0f}), and {count} φ need not "
-            f"have any of them: make trials on at least {_FEW} φ"
+            f"{begin} a few φ decide the mean (simulated kurtosis {kurtosis(pairs.shape):.0f}): make trials on at "
+            f"least {_FEW} φ"
         )
 
 
@@ -322,34 +322,82 @@ def _reach(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float, *, 
     leans = skewness(pairs.shape - pairs.shape.mean()) >= 0.0
     mirrored, least = (skewness(off) >= 0.0) != leans, least_variance(off.size) if line.predicts else 0.0
     reach = rehearsed(pairs.shape, off.size, confidence, by_line=by_line, mirrored=mirrored, least=least)
-    if line.predicts == by_line and reach.further > _MOST_REACH:
+    if line.predicts == by_line and max(reach) > _MOST_REACH:
         raise NotSaidError(
-            f"{figure.text}: nothing is said, for the simulated figures are so skewed over φ that {len(pairs.names)} "
-            "trials do not tell the mean of such: make more trials"
+            f"{figure.text}: nothing is said, for the simulated figures are so skewed over φ that {off.size} trials do "
+            "not tell the mean of such: make more trials"
         )
     return reach
 
 
-def _notes(figure: TrialFigure, pairs: Pairs, line: Line, why_alone: str, confidence: float) -> list[str]:
-    found = []
+def _notes(figure: TrialFigure, pairs: Pairs, why_alone: str, reach: float) -> Iterator[str]:
+    count = len(pairs.names)
     if not pairs.timed:
-        found.append("the timing of physical trials is not known: pairs are of the same φ alone")
+        yield "the timing of physical trials is not known: pairs are of the same φ alone"
     if why_alone:
-        found.append(f"{why_alone}: the physical trials stand alone")
-    elif pairs.population.size < _MANY * len(pairs.names):
-        found.append(
-            f"only {pairs.population.size} simulated φ for {len(pairs.names)} physical ones: more would narrow the "
-            "interval"
-        )
-    if not figure.is_rate:
-        reach = _reach(figure, pairs, line, confidence, by_line=not why_alone).further
-        if reach > _FELT:
-            found.append(
-                f"the simulated figures are skewed over φ: the interval reaches up to {reach:.1f} times as far as that "
-                "of normal figures"
-            )
-        if kurtosis(pairs.shape) > _RARE:
-            found.append("a few φ decide the mean, by the simulation: more trials may move it much")
-    if (np.array([len(group) for group in pairs.groups]) > 1).any():
-        found.append("several trials of a φ count as one: the interval is by φ")
-    return found
+        yield f"{why_alone}: the physical trials stand alone"
+    elif pairs.population.size < _MANY * count:
+        yield f"only {pairs.population.size} simulated φ for {count} physical ones: more would narrow the interval"
+    if reach > _FELT:
+        yield f"the simulated figures are skewed over φ: the interval reaches up to {reach:.1f} times as far for it"
+    if not figure.is_rate and kurtosis(pairs.shape) > _RARE:
+        yield "a few φ decide the mean, by the simulation: more trials may move it much"
+    if len(pairs.trials) > count:
+        yield "several trials of a φ count as one: the interval is by φ"
+
+
+RESULT = "fusion.json"
+
+
+@dataclass(frozen=True)
+class PlanningBasis:
+    """By what the number of trials is planned: of a figure its standard deviation from φ to φ, and its correlation."""
+
+    deviation: float
+    correlation: float | None
+    simulated_phi: int
+    source: str
+    warnings: Sequence[str]
+
+
+@dataclass(frozen=True)
+class _FusedBefore:
+    """What planning reads of a figure in fusion.json."""
+
+    deviation: Annotated[float, limits(0.0, 100.0, "in its unit")]
+    simulated_phi: Annotated[int, limits(LEAST_PAIRS, 1e9, "φ")]
+    trials: Annotated[int, limits(LEAST_PAIRS, 1e9, "trials")]
+    predicts: YesNo
+    correlation: Annotated[float, limits(-1.0, 1.0, "no unit")] = 0.0
+
+
+def planning_basis(folder: Path, figure: TrialFigure) -> PlanningBasis:
+    """Return by what trials are planned: the fusion in a folder, else the assessment in it, or a table.
+
+    Raises:
+        UsageError: it cannot be read, lacks the figure, or has the same of all φ.
+    """
+    path, key = folder / RESULT, figure.key
+    if path.exists():
+        content: Any = read_json(path)
+        try:
+            entry = {name: content["figures"][key][name] for name in _FusedBefore.__annotations__}
+            warnings = [one_line(str(line)) for line in content["warnings"]]
+        except (KeyError, TypeError) as error:
+            raise UsageError(f"{path}: has no {key} of skd fuse") from error
+        entry = {name: one for name, one in entry.items() if one is not None}
+        found = read_model(_FusedBefore, entry, str(path), f"figures.{key}")
+        correlation = found.correlation if found.predicts else None
+        source = f"by {counted(found.trials, 'physical trial')} in {folder}"
+        basis = PlanningBasis(found.deviation, correlation, found.simulated_phi, source, warnings)
+    else:
+        simulated = read_simulated(folder)
+        every = ([one.values[key] for one in trials if key in one.values] for trials in simulated.trials.values())
+        means = [float(np.mean(values)) for values in every if values]
+        if len(means) < 2:
+            raise UsageError(f"{folder}: has no {key} of two φ")
+        source = f"as simulated in {folder}: the physical car may vary more"
+        basis = PlanningBasis(float(np.std(means, ddof=1)), None, len(means), source, simulated.remarks)
+    if not basis.deviation > 0.0:
+        raise UsageError(f"{folder}: {figure.text} is the same on every φ, so nothing can be planned")
+    return basis
