@@ -79,12 +79,6 @@ def test_choice_is_spread_and_repeatable(tmp_path: Path) -> None:
     assert len({t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 10)}) == 10
 
 
-def test_too_few_says_how_many_and_why(tmp_path: Path) -> None:
-    LookAlike(walks=[Walk(), Walk(start_x=-0.1), Walk(start_x=-0.2, north=-1.0)], cart_y=10.0).write(tmp_path)
-    with pytest.raises(UsageError, match=r"1 usable .* 2 were requested; 2 dropped \(2 × starts in"):
-        load_safe_trajectories(str(tmp_path), SCENARIO, 2)
-
-
 PED, VEH = "unidirection_yeild_01_traj_ped_filtered.csv", "unidirection_yeild_01_traj_veh_filtered.csv"
 
 

@@ -103,11 +103,6 @@ def test_other_mistakes(change: dict[str, Any], what: str) -> None:
         check_model(replace(tiger(), name="wrong", **change))
 
 
-def test_parameters_that_are_no_tuple() -> None:
-    with pytest.raises(ModelError, match="model wrong: parameters is a dict, and has to be a NamedTuple"):
-        check_model(replace(tiger(), name="wrong", parameters={"accuracy": 0.85}))
-
-
 @kernel
 def blurred_where_it_is_dark(p: Any, s: Any, a: int, seen: Any, rng: Any) -> None:
     seen[0] = s[0] + (1.0 + s[0]) * rng.standard_normal()

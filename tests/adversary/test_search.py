@@ -330,14 +330,3 @@ def test_every_visit_and_every_mean_is_that_of_the_readable_search(name: str, op
         heard = np.array([0.3 * decision])
         planner.advance(action, heard)
         readable.advance(action, heard)
-
-
-def test_roots_stay_within_the_particles_where_weights_sum_to_less_than_one() -> None:
-    """Rounding does so, by a bit; here by a tenth, so that some simulations are drawn beyond the sum for certain."""
-    planner = Planner(RING, SMALL, np.random.default_rng(2))
-    readable = ReadableSearch(RING, SMALL, np.random.default_rng(2))
-    belief = ParticleBelief(RING, 10, np.random.default_rng(3))
-    belief.weights *= 0.9
-    assert planner.plan(belief) == readable.plan(belief)
-    assert readable.root is not None
-    assert planner.values.tolist() == [float(arm.mean) for arm in readable.root.arms]

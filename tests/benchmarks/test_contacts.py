@@ -76,17 +76,6 @@ def test_the_side_is_the_one_that_is_nearest_to_the_adversary_when_they_first_to
     assert run_of(log) == expected
 
 
-def test_the_moment_at_which_he_is_too_late_for_the_front_is_that_of_the_closed_form():
-    """The near side of the disc is at the strip after (3.5 − 1.15)/v; the front is there after (20 + y)/(25/3)."""
-    for at in (-6.0, 0.0, 5.0):
-        level = (20.0 + at) / SPEED
-        for off, expected in ((+0.02, Run.FLANK), (-0.02, Run.FRONT)):
-            speed = 1.0
-            start = -1.15 - speed * (level + off)
-            phi = Trajectory(np.column_stack([start + 0.3 * speed * np.arange(30), np.full(30, at)]), 0.3)
-            assert run_of(run(phi)) == expected, (at, off)
-
-
 def test_a_touch_of_a_car_slower_than_the_hit_speed_is_no_hit():
     creeps = replace(STEADY, car=replace(STEADY.car, start_speed=0.5, start_gap=1.0))
     stands = Trajectory(np.tile([[0.0, 0.0]], (20, 1)), 0.3)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from model_steps import step
 from planning import PROBLEMS, run_episode
 from problems import rock_sample
-from problems.sub_hunt import EAST, ENGAGE, NORTH, PING, SOUTH, WEST, sub_hunt
+from problems.sub_hunt import NORTH, PING, sub_hunt
 from skd_adversary.pomdp.model import Pomdp
 
 Draws = dict[tuple[float, ...], float]
@@ -107,83 +106,6 @@ def test_planner_on_rock_sample_4_4(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 MODEL = sub_hunt()
-
-
-def _outcomes(state: list[float], action: int, count: int) -> tuple[dict[Any, float], float, float]:
-    """Return next target → frequency, mean reward and share of ends."""
-    rng, after = np.random.default_rng(2), np.empty(6)
-    counts: dict[Any, float] = {}
-    total, ends = 0.0, 0
-    for _ in range(count):
-        reward, terminal = MODEL.step(MODEL.parameters, np.array(state), action, after, rng)
-        total, ends = total + reward, ends + terminal
-        if not terminal:
-            key = tuple(after.astype(int).tolist())
-            counts[key] = counts.get(key, 0.0) + 1.0 / count
-    return counts, total / count, ends / count
-
-
-@pytest.mark.parametrize(
-    ("goal", "targets"),
-    [
-        (NORTH, {(5, 9): 0.5, (4, 8): 0.25, (6, 8): 0.25}),
-        (EAST, {(7, 7): 0.5, (6, 8): 0.25, (6, 6): 0.25}),
-        (SOUTH, {(5, 5): 0.5, (4, 6): 0.25, (6, 6): 0.25}),
-        (WEST, {(3, 7): 0.5, (4, 8): 0.25, (4, 6): 0.25}),
-    ],
-)
-def test_the_target_makes_for_its_edge(goal: int, targets: dict[Any, float]) -> None:
-    count = 4000
-    found, reward, ends = _outcomes([10.0, 10.0, 5.0, 7.0, goal, 0.0], PING, count)
-    assert (reward, ends) == (0.0, 0.0)
-    assert set(found) == {(10, 10, *target, goal, 1) for target in targets}  # a ping makes it aware
-    for target, chance in targets.items():
-        bound = SIGMAS * math.sqrt(chance * (1.0 - chance) / count)
-        assert abs(found[10, 10, *target, goal, 1] - chance) <= bound
-
-
-def test_engaging() -> None:
-    count = 4000
-    near, far = [10.0, 10.0, 10.0, 12.0, NORTH], [10.0, 10.0, 11.0, 12.0, NORTH]
-    assert _outcomes([*near, 0.0], ENGAGE, 50)[1:] == (100.0, 1.0)
-    assert _outcomes([*far, 0.0], ENGAGE, 50)[1:] == (0.0, 0.0)
-    _, reward, ends = _outcomes([*near, 1.0], ENGAGE, count)
-    assert reward == pytest.approx(100.0 * ends)
-    assert abs(ends - 0.6) <= SIGMAS * math.sqrt(0.24 / count)
-
-
-@pytest.mark.parametrize(
-    ("target", "beam"),
-    [
-        ((13, 10), 7),  # due East is 2π, in the last beam
-        ((13, 12), 0),
-        ((10, 12), 1),
-        ((8, 11), 3),
-        ((7, 10), 3),
-        ((9, 9), 4),
-        ((10, 7), 5),
-        ((11, 9), 6),
-    ],
-)
-def test_beams(target: tuple[int, int], beam: int) -> None:
-    """Beams of 45° from East, counterclockwise: (0°, 45°], … as the reference has them."""
-    state = np.array([10.0, 10.0, *target, NORTH, 1.0])
-    rng, seen = np.random.default_rng(3), np.empty((400, 8))
-    for row in seen:
-        MODEL.observe(MODEL.parameters, state, PING, row, rng)
-    distance = math.hypot(target[0] - 10, target[1] - 10)
-    expected = np.full(8, 20.0)
-    expected[beam] = distance
-    assert (np.abs(seen.mean(axis=0) - expected) <= SIGMAS * 0.5 / 20.0).all()
-    for row in seen:
-        MODEL.observe(MODEL.parameters, state, NORTH, row, rng)
-    near = distance <= 3.0
-    expected = np.full(8, 3.0)
-    sigma = np.full(8, 5.0)
-    if near:
-        expected[beam], sigma[beam] = distance, 0.5
-    assert (np.abs(seen.mean(axis=0) - expected) <= SIGMAS * sigma / 20.0).all()
-    assert (np.abs(seen.std(axis=0) / sigma - 1.0) <= SIGMAS / math.sqrt(2.0 * 400.0)).all()
 
 
 @pytest.mark.parametrize("action", [PING, NORTH])

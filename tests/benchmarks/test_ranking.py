@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from cars.catalogue import CARS
 from contacts import run_of
-from pair_orders import Pair, agreed_pairs, ordered_share, safer_of
-from ranking import Row, Store, exceptions, ranked
+from pair_orders import Pair, ordered_share, safer_of
 from ranking_figures import FIGURES, Work
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -19,7 +18,6 @@ from wide_scenarios import (
     ALONG_THE_ROAD,
     EARLIER_OR_LATER,
     PACES,
-    TRUTHS,
     Manner,
     outcomes,
     scenarios,
@@ -58,13 +56,6 @@ def test_every_car_meets_the_same_adversaries_within_the_stated_ranges():
     assert np.ptp(starts) > 1.8 * ALONG_THE_ROAD
 
 
-def test_who_hesitates_stands_for_as_long_and_goes_on():
-    path = walked(ACROSS, delay=0.0, pace=1.0, along=0.0, ticks=40, pause=(0.5, 2 * CROSSING.time_step))
-    np.testing.assert_allclose(path.positions[:5], ACROSS.positions[:5])
-    np.testing.assert_allclose(path.positions[4:7], [ACROSS.positions[4]] * 3)
-    np.testing.assert_allclose(path.positions[6:11], ACROSS.positions[4:])
-
-
 def test_a_car_with_a_clock_of_its_own_gets_a_letter_a_run_that_no_number_of_workers_changes():
     with InProcessRunner(2, isolated=True) as runner:
         letters = outcomes(OFTEN, [ACROSS], 120, 3, Manner.HESITATING, runner)
@@ -73,27 +64,11 @@ def test_a_car_with_a_clock_of_its_own_gets_a_letter_a_run_that_no_number_of_wor
     assert len(set(letters)) > 1
 
 
-def test_truths_count_what_they_say():
-    runs = {Manner.WIDE: ".FLRs", Manner.CHANGING: "FF..s", Manner.HESITATING: "LLLLL"}
-    rates = {name: truth.hits(runs).mean() for name, truth in TRUTHS.items()}
-    assert rates == {"wide": 0.6, "changing pace": 0.4, "hesitating": 1.0, "front only": 3 / 15}
-
-
 def test_of_two_cars_the_one_is_safer_that_a_sign_test_says_so_of():
     """Of six runs in which they differ all must speak for the same car: 2 · 2⁻⁶ < 0.05 < 2 · 2⁻⁵."""
     none, five, six = (np.array([True] * hits + [False] * (20 - hits)) for hits in (0, 5, 6))
     assert (safer_of(none, six), safer_of(six, none), safer_of(none, five), safer_of(six, six)) == (0, 1, -1, -1)
     assert safer_of(six, np.roll(six, 6)) == -1
-
-
-def test_only_pairs_that_every_truth_orders_alike_count():
-    """Of three cars the first two are ordered by both truths, the last has another place in each."""
-
-    def hit(*counts):
-        return [np.array([True] * count + [False] * (40 - count)) for count in counts]
-
-    assert agreed_pairs([hit(0, 10, 20), hit(10, 20, 0)]) == [Pair(0, 1)]
-    assert agreed_pairs([hit(20, 10, 0)]) == [Pair(1, 0), Pair(2, 0), Pair(2, 1)]
 
 
 def test_the_interval_over_cars_is_wider_than_one_over_pairs_where_one_car_is_wrong():
@@ -110,24 +85,6 @@ def test_the_interval_over_cars_is_wider_than_one_over_pairs_where_one_car_is_wr
     # The wrong car is drawn Poisson(1) times nearly: with none of it, in 36 % of the draws, all is right.
     assert high == 1.0
     assert share.interval == ordered_share(pairs, figure, +1).interval
-
-
-def test_a_ranking_lists_what_a_figure_has_wrong_with_both_cars():
-    """Three made-up cars: the figure has the last two the wrong hit round."""
-    runs = ["." * 60, "F" * 20 + "." * 40, "F" * 40 + "." * 20]
-    values = [[[3.0, 3.0], [4.0, 4.0]], [[1.0, 1.0], [1.5, 1.5]], [[2.0, 2.0], [2.5, 2.5]]]
-    rows = [
-        Row(car, dict.fromkeys(Manner, letters), {"planned_generic": {"values": groups, "note": ""}})
-        for car, letters, groups in zip(CARS, runs, values, strict=False)
-    ]
-    ranking = ranked(rows, ["planned_generic"])
-    assert ranking.pairs == (Pair(0, 1), Pair(0, 2), Pair(1, 2))
-    assert ranking.shares["planned_generic"].right == 2
-    (wrong,) = exceptions(ranking, "planned_generic")
-    assert (wrong["safer"], wrong["other"]) == (CARS[1].label, CARS[2].label)
-    assert (wrong["safer_planned_generic"], wrong["other_planned_generic"]) == (1.25, 2.25)
-    assert wrong["difference"] == -1.0
-    assert wrong["rates"]["front only"] == [1 / 3, 2 / 3]
 
 
 @pytest.mark.parametrize("car", [CARS[0], OFTEN], ids=lambda car: car.label)
@@ -148,12 +105,3 @@ def test_figures_are_means_over_all_trials_a_miss_counting_as_the_most(car):
     assert set(hits[0]) <= {0.0, 1.0}
     assert (np.array(margins) <= np.array(needed) + 1e-9).all()  # nobody does better than the best
     assert np.mean(margins) < 1.0
-
-
-def test_a_file_is_gone_on_from(tmp_path):
-    path, settings = tmp_path / "file.json", {"runs": 1}
-    assert Store(path, settings).once("car", "part/5", lambda: [1.0]) == [1.0]
-    assert Store(path, settings).once("car", "part/5", lambda: [2.0]) == [1.0]
-    assert Store(path, settings, again=["part"]).once("car", "part/5", lambda: [2.0]) == [2.0]
-    with pytest.raises(SystemExit, match="give another file"):
-        Store(path, {"runs": 2})

@@ -22,16 +22,6 @@ from skd_sim.scenario.scenario import load_scenario
 CARS_HERE = [car for car in CARS if car.label in ("basic, C = 0.75", "basic, C = 1.5")]
 
 
-def test_a_world_is_a_simulator_and_the_dynamics_of_its_car():
-    assert transfer.world("world").scenario == load_scenario("crossing")
-    heavy = transfer.world("world/multi_body")
-    assert (heavy.simulator, heavy.scenario.car.dynamics) == ("world", "multi_body")
-    assert heavy.scenario.sensor.mount_ahead == heavy.scenario.car.front
-    assert transfer.world("elsewhere").simulator == "elsewhere"
-    with pytest.raises(ValueError, match="the dynamics of a car are basic, multi_body"):
-        transfer.world("world/rail")
-
-
 def test_phi_are_the_same_to_the_last_bit_when_they_are_read(tmp_path):
     transfer.write_phi(tmp_path / "phi", 2, 0)
     with InProcessRunner(1) as runner:
@@ -86,14 +76,6 @@ def world(means, phis=8, trials=4, spread=0.0, seed=0):
     rng = np.random.default_rng(seed)
     shift = spread * rng.standard_normal((len(means), phis, 1))
     return list(np.asarray(means)[:, None, None] + shift + 0.01 * rng.standard_normal((len(means), phis, trials)))
-
-
-def test_worlds_that_agree_and_worlds_that_are_opposite():
-    means = [0.1, 0.4, 0.9, 1.6, 2.5, 3.6]
-    same = agreement(world(means), world([2.0 * mean for mean in means], seed=1))
-    assert (same.cars, same.tau, same.by_phi, same.by_cars) == (6, 1.0, (1.0, 1.0), (1.0, 1.0))
-    opposite = agreement(world(means), world(means[::-1], seed=1))
-    assert (opposite.tau, opposite.by_phi) == (-1.0, (-1.0, -1.0))
 
 
 def test_the_interval_over_phi_holds_the_truth_as_often_as_it_says():

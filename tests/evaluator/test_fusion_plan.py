@@ -77,26 +77,6 @@ def test_the_command_plans_with_what_was_fused(fused: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"correlation": "0.9"}, "figures.clearance.correlation must be a number from -1 to 1"),
-        ({"deviation": 0.0}, "is the same on every φ, so nothing can be planned"),
-        ({"simulated_phi": -3}, "figures.clearance.simulated_phi must be a whole number from 5"),
-        ({"predicts": 1}, "figures.clearance.predicts must be true or false"),
-    ],
-)
-def test_entries_that_a_fusion_cannot_have(
-    fused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, object], says: str
-):
-    content = json.loads((fused / "fusion.json").read_text("utf-8"))
-    content["figures"]["clearance"].update(changes)
-    (tmp_path / "fusion.json").write_text(json.dumps(content), "utf-8")
-    assert run_skd(*PLAN, tmp_path) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert says in line
-
-
-@pytest.mark.parametrize(
     ("words", "says"),
     [
         (("FUSED",), "give PHYSICAL, the table of trials, or --width"),

@@ -16,7 +16,7 @@ from common import run_skd
 from skd_evaluator import Plan, load_result, run_episode
 from skd_evaluator.bags.tracks import RecordingFrame
 from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled, read_tracks
-from skd_evaluator.extensions.fusion.trials import PhysicalTrial, read_simulated, read_trials, table_in
+from skd_evaluator.extensions.fusion.trials import PhysicalTrial, read_trials, table_in
 from skd_evaluator.metrics.surrogate_measures import least_clearance
 from skd_evaluator.metrics.surrogate_scenes import scene_of
 from skd_sim import Mode, Trajectory
@@ -165,21 +165,6 @@ def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
     assert not overruled([missed, seen])
 
 
-def test_a_road_user_who_was_touched_and_leaves_its_way_was_hit(tmp_path: Path):
-    """A dummy that a touch throws aside, and a table that says nobody was hit."""
-    gap = reached(SCENARIO.car.half_width + SCENARIO.adversary.reach - 0.15)
-
-    def thrown(row: list[str]) -> bool:
-        if row[1] == "other":
-            row[3] = repr(0.9 * max(0.0, float(row[0]) - 7.3 - gap / SPEED))
-        return True
-
-    path = kept(tracked(tmp_path / "a.csv", gap=gap), thrown)
-    assert recorder().measured(path, PhysicalTrial("walk")).values["hit"] == 1.0
-    with pytest.raises(UsageError, match="off its φ"):
-        recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
-
-
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
@@ -308,7 +293,7 @@ def _played(example: dict[str, Any], simulated: Path) -> dict[str, float]:
         (("--frame", "420,-35,30"), "has no message on /ego/odometry"),
         (NAMES[:4], "off its φ"),
         ((*NAMES[:2], "--road-user", NAMES[1], *NAMES[4:]), "are both '/car/odometry'"),
-        ((*NAMES, "--gap-tolerance", "0.000001"), "no simulated run within 1e-06 m"),
+        ((*NAMES, "--gap-tolerance", "0.000001"), "no run within 1e-06 m"),
         (("--frame", "1,2"), "must be X,Y,DEGREES"),
     ],
 )
@@ -334,13 +319,3 @@ def test_tables_alone_are_enough(simulated: Path, tmp_path: Path, capsys: pytest
     assert figure["interval"][0] < 1.2 < figure["interval"][1]
     assert figure["gap"]["mean"] == pytest.approx(-0.3, abs=0.1)
     assert "the timing of physical trials is not known: pairs are of the same φ alone" in figure["notes"]
-
-
-def test_an_assessment_is_read_as_simulated(simulated: Path):
-    found = read_simulated(simulated)
-    assert len(found.trials) == 14
-    assert found.scenario is not None
-    runs = [one for one in found.trials["synthetic/3"] if "hit" in one.values]
-    assert len(runs) == 10
-    assert all(13.0 <= (one.gap or 0.0) <= 15.5 for one in runs)
-    assert all(one.values["hit"] in (0.0, 1.0) for one in runs)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
 
 import pytest
 from cli_support import names, one_line, skd
 from skd_evaluator.extensions.ncap import command as ncap
-from skd_evaluator.extensions.ncap import result as verification
 from skd_evaluator.extensions.ncap.page import views_of
 from skd_evaluator.extensions.ncap.result import RESULT, NcapCell, read_ncap
 from skd_evaluator.library import assess
@@ -224,12 +222,3 @@ def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
     assert "cpna-50 (CPNA day)" in done.stdout
     assert "interrupted; nothing was written. What is above is of 1 of 3 scenarios" in done.stderr
     assert not (here / "out").exists()
-
-
-def test_without_the_calculator_it_says_how_to_get_points(skd_here, here, monkeypatch):
-    monkeypatch.setattr(verification, "find_spec", lambda _name: None)
-    monkeypatch.setitem(sys.modules, f"{verification.PACKAGE}.common", None)  # which whoever imports it would notice
-    done = skd_here("ncap", "--scenarios", "cpna-50", *NONE, "--out", "out")
-    assert done.returncode == 0, done.stderr
-    assert "pip install 'euroncap-rating-2026<6,>=5.4.9'" in done.stdout
-    assert (read_ncap(here / "out").points, "in standard range" in done.stdout) == ((), False)

@@ -14,7 +14,7 @@ from skd_evaluator.extensions.ncap.result import RESULT, Grid, Ncap, NcapCell, a
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.scenario.scenario_file import SCENARIOS, lineage
+from skd_sim.scenario.scenario_file import SCENARIOS
 from static_support import static_tests
 
 KMH = 1.0 / 3.6
@@ -128,14 +128,6 @@ def test_every_test_of_the_matrices_can_be_had():
             assert scenario.car.start_speed == pytest.approx(cell.speed * KMH)
             (one,) = static_tests(scenario, CarUnderTest("basic", 0.0))
             assert (one.touched, one.impact_speed) == (True, pytest.approx(cell.speed * KMH))
-
-
-def test_a_file_belongs_to_the_matrix_of_what_it_builds_upon(tmp_path):
-    (tmp_path / "one.yaml").write_text("name: one\nextends: cpfa-50\n")
-    (tmp_path / "two.yaml").write_text("name: two\nextends: one.yaml\n")
-    path = str(tmp_path / "two.yaml")
-    assert lineage(path) == [path, str(tmp_path / "one.yaml"), "cpfa-50", "cpfa", "cpna", "crossing"]
-    assert lineage("crossing") == ["crossing"]
 
 
 @pytest.mark.parametrize(("speed", "colours"), [(20, "gr"), (30, "gbr"), (40, "gobr"), (50, "gyobr"), (60, "gyobr")])

@@ -245,7 +245,7 @@ def test_who_crosses_twice_is_cut_to_the_crossing_of_the_scenario(tmp_path: Path
     x = np.interp(times, [0, 6, 26, 32, 34, 40], [4, -4, -4, 4, 4, -4])
     (source,) = read_sources([table(tmp_path / "a.csv", times, x)], ImportRequest())
     found = trajectory_of(source, RecordingFrame(), 0.5, load_scenario("crossing"))
-    assert "crosses 3 times, taken is the first eastwards, at 29.0" in found.quality.cut
+    assert "crosses 3 times, taken is the first eastwards, at 29.0" in found.cut
     assert found.places[0, 0] < 0.0 < found.places[-1, 0]
     assert (np.diff(found.places[:, 0]) >= 0.0).all()
 

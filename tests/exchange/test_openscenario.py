@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,7 +14,6 @@ from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.extensions.exchange.scene import stretch
 from skd_evaluator.extensions.exchange.xml_formats import opendrive, write_openscenario, write_road
 from skd_sim.scenario.road import ONCOMING
-from skd_sim.scenario.road_user import ROAD_USERS, Other, Waypoint, called
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
 
@@ -114,37 +112,6 @@ def test_two_exports_are_the_same_to_the_byte_and_the_car_can_be_left_out(result
     assert "Adversary" in driven
     begins = {one.get("entityRef") for one in root.iter("Private")}
     assert "Ego" in begins  # where it begins, and how fast, is said
-
-
-def test_names_of_anybody_harm_no_file(result: Path, skd_here, tmp_path: Path):
-    """A φ may be called anything; control characters are none of XML's, and a line is a line."""
-    own = tmp_path / "own"
-    shutil.copytree(result, own)
-    (own / "manifest.sha256").unlink()
-    figures = json.loads((own / "assessment.json").read_text("utf-8"))
-    for one in figures["per_safe_trajectory"]:
-        one["name"] = 'a\x1b[2J<&">\n\ufffe'
-    (own / "assessment.json").write_text(json.dumps(figures), "utf-8")
-    done = skd_here("export", own, "--format", "openscenario", "--worst", 1, "--out", "out", "--json")
-    assert done.returncode == 0, done.stderr
-    for one in json.loads(done.stdout)["files"]:
-        assert passes(tmp_path / "out" / one["file"])
-        root = ElementTree.parse(tmp_path / "out" / one["file"]).getroot()
-        assert 'a\\x1b[2J<&"> \\ufffe' in root.find("FileHeader").get("description", "")
-    assert skd_here("export", own, "--format", "commonroad", "--worst", 1, "--out", "b").returncode == 0
-    ElementTree.parse(tmp_path / "b" / "phi_000.xml")
-
-
-def test_each_kind_has_a_word_of_every_format():
-    way = (Waypoint(0.0, 0.0, 0.0),)
-    for kind in ROAD_USERS.own:
-        box = ROAD_USERS.find(kind).kernels.box
-        body = Other(kind=kind, way=way, length=2.0, width=1.0) if box else Other(kind=kind, way=way, radius=0.3)
-        assert called(body, "openscenario") in {"pedestrian", "bicycle", "motorbike", "car", "van"}
-        assert (called(body, "openscenario") == "pedestrian") == (not box)
-        assert (called(body, "osi") == "TYPE_PEDESTRIAN") == (called(body, "commonroad") == "pedestrian") == (not box)
-    unknown = Other(kind="tractor", way=way, length=4.0, width=2.0)
-    assert [called(unknown, one) for one in ("openscenario", "commonroad")] == ["car", "car"]
 
 
 def points_of(road: ElementTree.Element, spacing: float = 0.1) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exchange_support import READERS, recorded, scenarios
+from exchange_support import recorded, scenarios
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
@@ -136,35 +135,3 @@ def test_everybody_of_every_scenario_is_in_it():
         assert len(first.lane) == len(one.scenario.road.every_lane)
         assert len(first.lane_boundary) == 2 * len(first.lane)
         assert last.timestamp.seconds + 1e-9 * last.timestamp.nanos == pytest.approx(one.duration, abs=1e-9)
-
-
-def test_velocity_and_acceleration_are_those_of_the_positions():
-    one = recorded("crossing")
-    trace = ground_truth(one)
-    times = [m.timestamp.seconds + 1e-9 * m.timestamp.nanos for m in trace]
-    base = [next(u.base for u in m.moving_object if u.id.value == 2) for m in trace]
-    for row in range(len(trace) - 2):
-        lasting = times[row + 1] - times[row]
-        assert base[row].position.x + lasting * base[row].velocity.x == pytest.approx(base[row + 1].position.x)
-        change = (base[row + 1].velocity.x - base[row].velocity.x) / lasting
-        assert base[row].acceleration.x == pytest.approx(change, abs=1e-6)
-
-
-@pytest.mark.skipif(not READERS.exists(), reason="no omega-prime: scripts/exchange-readers makes .venv-readers")
-def test_omega_prime_reads_the_same_states(tmp_path: Path):
-    one = recorded("cbna")
-    path = tmp_path / osi_name(one)
-    write_osi(path, one)
-    code = (
-        "import sys, json, warnings; warnings.simplefilter('ignore'); import omega_prime\n"
-        "frame = omega_prime.Recording.from_file(sys.argv[1]).df\n"
-        "print(json.dumps(frame.select(['idx', 'total_nanos', 'x', 'y', 'yaw', 'length']).rows()))"
-    )
-    done = subprocess.run([READERS, "-c", code, path], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    rows = json.loads(done.stdout.strip().splitlines()[-1])
-    for actor in one.actors[:2]:
-        mine = np.array([row[1:] for row in rows if row[0] == actor.number], np.float64)
-        assert mine[:, 0] == pytest.approx(1e9 * actor.times, abs=1.0)
-        assert mine[:, 1:3] == pytest.approx(actor.centres, abs=1e-9)
-        assert mine[:, 4] == pytest.approx(actor.size[0])

@@ -54,8 +54,8 @@ setup(
             "campaign = skd_evaluator.extensions.campaign.options:add_campaign",
             "ncap = skd_evaluator.extensions.ncap.options:add_ncap",
             "fuse = skd_evaluator.extensions.fusion.command:add_fuse",
-            "export = skd_evaluator.extensions.exchange.options:add_export",
-            "import = skd_evaluator.extensions.exchange.options:add_import",
+            "export = skd_evaluator.extensions.exchange.export_command:add_export",
+            "import = skd_evaluator.extensions.exchange.import_command:add_import",
         ],
         "skd.checks": [
             "ncap = skd_evaluator.extensions.ncap.result:with_regulator",

@@ -271,15 +271,12 @@ def _check(car: FittedCar) -> None:
         numbers = {"prior.first": one.prior.first, "prior.second": one.prior.second, "estimate": one.estimate or 0.0}
         for key, number in numbers.items():
             if not 0.0 <= number <= most:
-                raise UsageError(
-                    f"parameters.{name}.{key} must be from 0 to {most:g} ({car.unit(name)}), got {number:g}"
-                )
+                limit = f"from 0 to {most:g} ({car.unit(name)})"
+                raise UsageError(f"parameters.{name}.{key} must be {limit}, got {number:g}")
     delay = car.parameters["reaction_delay"].estimate or 0.0
     if delay > (LONGEST_DELAY + 1e-9) * car.time_step:
-        raise UsageError(
-            f"parameters.reaction_delay.estimate must be at most {LONGEST_DELAY} ticks of {car.time_step:g} s, "
-            f"with which the adversary can plan, got {delay:g} s"
-        )
+        most = f"{LONGEST_DELAY} ticks of {car.time_step:g} s"
+        raise UsageError(f"parameters.reaction_delay.estimate must be at most {most}, got {delay:g} s")
 
 
 def _forest(text: str, where: str) -> CarForest:
@@ -339,7 +336,5 @@ def check_scenario(car: FittedCar, scenario: Scenario, where: str) -> None:
     )
     for key, unit, one, other in pairs:
         if one is not None and not math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12):
-            raise UsageError(
-                f"{where}: {key} is {one:g} {unit}, that of scenario {scenario.name} {other:g} {unit}; fit the car "
-                "anew: skd probe --scenario, then skd fit"
-            )
+            other_one = f"that of scenario {scenario.name} {other:g} {unit}"
+            raise UsageError(f"{where}: {key} is {one:g} {unit}, {other_one}; fit the car anew (skd probe, skd fit)")

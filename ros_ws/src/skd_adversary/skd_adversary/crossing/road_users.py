@@ -123,25 +123,11 @@ _PEDESTRIAN_KERNELS = RoadUserKernels(
 
 
 _FORMATS: Final = ("carla", "metadrive", "openscenario", "osi", "commonroad", "levelxdata")
-_NAMES: Final = {  # empty where a format has no word for it
-    "pedestrian": ("walker.pedestrian.0001", "PEDESTRIAN", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian"),
-    "runner": ("walker.pedestrian.0001", "", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian"),
-    "child": ("walker.pedestrian.0011", "", "pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian"),
-    "cyclist": ("vehicle.diamondback.century", "CYCLIST", "bicycle", "TYPE_BICYCLE", "bicycle", "bicycle"),
-    "e_scooter": ("", "", "bicycle", "TYPE_STANDUP_SCOOTER", "bicycle", ""),
-    "motorcycle": ("vehicle.kawasaki.ninja", "CYCLIST", "motorbike", "TYPE_MOTORBIKE", "motorcycle", "motorcycle"),
-    "car": ("vehicle.tesla.model3", "VEHICLE", "car", "TYPE_MEDIUM_CAR", "car", "car"),
-    "van": ("vehicle.mercedes.sprinter", "", "van", "TYPE_DELIVERY_VAN", "", "van"),
-}
 
 
-def _names(kind: str) -> dict[str, str]:
-    """Return what each of `_FORMATS` calls one of these kinds."""
-    return {one: name for one, name in zip(_FORMATS, _NAMES.get(kind, ()), strict=False) if name}
-
-
-def _no_parameters(scenario: Scenario) -> Mapping[str, Any]:
-    return {}
+def _named(*names: str) -> dict[str, str]:
+    """Return what each of `_FORMATS` calls a kind; empty where a format has no word for it."""
+    return {one: name for one, name in zip(_FORMATS, names, strict=True) if name}
 
 
 # --- walkers, whose part of a state is their velocity to the East and to the North, m/s
@@ -213,21 +199,19 @@ _WALKER_KERNELS = replace(
 )
 
 
-def walker(
-    name: str,
-    acceleration: float,
-    *,
-    fastest: float,
-    height: float,
-    mass: float = math.nan,
-    names: Mapping[str, str] | None = None,
-) -> RoadUserModel:
-    """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
+def _walker_parameters_of(acceleration: float, scenario: Scenario) -> Mapping[str, Any]:
+    return {"own_change": acceleration * scenario.time_step}
 
-    def parameters(scenario: Scenario) -> Mapping[str, Any]:
-        return {"own_change": acceleration * scenario.time_step}
 
-    return RoadUserModel(name, _WALKER_KERNELS, parameters, fastest, height, mass, names or _names(name))
+def walker(name: str, acceleration: float, **about: Any) -> RoadUserModel:
+    """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most.
+
+    Args:
+        name: of the kind.
+        acceleration: m/s².
+        about: `fastest`, `height`, and perhaps `mass` and `names` of a `RoadUserModel`.
+    """
+    return RoadUserModel(name, _WALKER_KERNELS, partial(_walker_parameters_of, acceleration), **about)
 
 
 # --- on wheels, whose part of a state is heading (rad) and speed (m/s)
@@ -444,33 +428,45 @@ def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[
     }
 
 
-def wheeled(
-    name: str,
-    limits: RidingLimits,
-    *,
-    fastest: float,
-    height: float,
-    mass: float = math.nan,
-    names: Mapping[str, str] | None = None,
-) -> RoadUserModel:
-    """Return a kind of road user on wheels; see `RoadUserModel`."""
-    parameters = partial(_wheeled_parameters_of, limits)
-    return RoadUserModel(name, _WHEELED_KERNELS, parameters, fastest, height, mass, names or _names(name))
+def wheeled(name: str, limits: RidingLimits, **about: Any) -> RoadUserModel:
+    """Return a kind of road user on wheels, by its limits; further arguments as of `walker`."""
+    return RoadUserModel(name, _WHEELED_KERNELS, partial(_wheeled_parameters_of, limits), **about)
 
 
 # --- the kinds that there are: those on foot weigh as the dummies Hybrid III of a man and of a child of six, and a man
 # rides the others. The fastest runner has reached 12.4 m/s (U. Bolt, 2009). Limits: docs/decisions.md (4).
 
+_ON_FOOT: Final = ("pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian")
 PEDESTRIAN: Final = RoadUserModel(
-    "pedestrian", _PEDESTRIAN_KERNELS, _no_parameters, 12.0, height=1.8, mass=78.0, names=_names("pedestrian")
+    "pedestrian", _PEDESTRIAN_KERNELS, lambda scenario: {}, fastest=12.0, height=1.8, mass=78.0,
+    names=_named("walker.pedestrian.0001", "PEDESTRIAN", *_ON_FOOT),
+)  # fmt: skip
+RUNNER: Final = walker(
+    "runner", 3.0, fastest=12.0, height=1.8, mass=78.0, names=_named("walker.pedestrian.0001", "", *_ON_FOOT)
 )
-RUNNER: Final = walker("runner", acceleration=3.0, fastest=12.0, height=1.8, mass=78.0)
-CHILD: Final = walker("child", acceleration=2.0, fastest=8.0, height=1.2, mass=23.0)
-CYCLIST: Final = wheeled("cyclist", RidingLimits(1.0, 3.0, 3.0), fastest=20.0, height=1.8, mass=95.0)
-E_SCOOTER: Final = wheeled("e_scooter", RidingLimits(1.2, 3.5, 2.5), fastest=15.0, height=1.9, mass=95.0)
-MOTORCYCLE: Final = wheeled("motorcycle", RidingLimits(4.0, 5.5, 4.0, radius=2.5), fastest=85.0, height=1.5, mass=280.0)
-CAR: Final = wheeled("car", RidingLimits(2.5, 6.0, 4.0, radius=5.5), fastest=70.0, height=1.5, mass=1500.0)
-VAN: Final = wheeled("van", RidingLimits(2.0, 5.0, 3.5, radius=6.5), fastest=50.0, height=2.4, mass=2500.0)
+CHILD: Final = walker(
+    "child", 2.0, fastest=8.0, height=1.2, mass=23.0, names=_named("walker.pedestrian.0011", "", *_ON_FOOT)
+)
+CYCLIST: Final = wheeled(
+    "cyclist", RidingLimits(1.0, 3.0, 3.0), fastest=20.0, height=1.8, mass=95.0,
+    names=_named("vehicle.diamondback.century", "CYCLIST", "bicycle", "TYPE_BICYCLE", "bicycle", "bicycle"),
+)  # fmt: skip
+E_SCOOTER: Final = wheeled(
+    "e_scooter", RidingLimits(1.2, 3.5, 2.5), fastest=15.0, height=1.9, mass=95.0,
+    names=_named("", "", "bicycle", "TYPE_STANDUP_SCOOTER", "bicycle", ""),
+)  # fmt: skip
+MOTORCYCLE: Final = wheeled(
+    "motorcycle", RidingLimits(4.0, 5.5, 4.0, radius=2.5), fastest=85.0, height=1.5, mass=280.0,
+    names=_named("vehicle.kawasaki.ninja", "CYCLIST", "motorbike", "TYPE_MOTORBIKE", "motorcycle", "motorcycle"),
+)  # fmt: skip
+CAR: Final = wheeled(
+    "car", RidingLimits(2.5, 6.0, 4.0, radius=5.5), fastest=70.0, height=1.5, mass=1500.0,
+    names=_named("vehicle.tesla.model3", "VEHICLE", "car", "TYPE_MEDIUM_CAR", "car", "car"),
+)  # fmt: skip
+VAN: Final = wheeled(
+    "van", RidingLimits(2.0, 5.0, 3.5, radius=6.5), fastest=50.0, height=2.4, mass=2500.0,
+    names=_named("vehicle.mercedes.sprinter", "", "van", "TYPE_DELIVERY_VAN", "", "van"),
+)  # fmt: skip
 
 
 def road_user_named(kind: str) -> RoadUserModel:
@@ -494,15 +490,10 @@ def check_kind(scenario: Scenario) -> None:
     Raises:
         UsageError: it is so, or there is no such kind.
     """
-    adversary = scenario.adversary
+    adversary, where = scenario.adversary, f"scenario {scenario.name}"
     user = road_user_named(adversary.kind)
     if adversary.speed > user.fastest:
-        raise UsageError(
-            f"scenario {scenario.name}: adversary.speed {adversary.speed:g} m/s is more than any {user.name} does; "
-            f"give at most {user.fastest:g}"
-        )
+        what = f"adversary.speed {adversary.speed:g} m/s is more than any {user.name} does"
+        raise UsageError(f"{where}: {what}; give at most {user.fastest:g}")
     if user.kernels.box and not adversary.is_box:
-        raise UsageError(
-            f"scenario {scenario.name}: a {user.name} is a box that points the way it moves; give adversary.length and "
-            "width in place of radius"
-        )
+        raise UsageError(f"{where}: a {user.name} is a box that points the way it moves; give length and width")

@@ -246,8 +246,5 @@ def _compare(caller: _Caller, action: int, first: FloatArray, second: FloatArray
         # What is rare may be in none of the draws: the variance is taken to be at least that of one in all of them.
         error = math.sqrt(sum(max(float(some.var(ddof=1)), 1.0 / _DRAWS) for some in (one, two)) / _DRAWS)
         if abs(float(one.mean() - two.mean())) > _SIGMAS * error:
-            raise caller.fail(
-                "likelihood",
-                f"is not the density that observe draws from: after action {action}, states {first.tolist()} and "
-                f"{second.tolist()} have a wrong proportion ({hint})",
-            )
+            what = f"after action {action}, states {first.tolist()} and {second.tolist()} are in a wrong proportion"
+            raise caller.fail("likelihood", f"is not the density that observe draws from: {what} ({hint})")

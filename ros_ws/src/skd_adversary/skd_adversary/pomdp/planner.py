@@ -123,10 +123,7 @@ class PlannerOptions:
         if self.exploration is not None and not self.exploration >= 0.0:
             raise ValueError(f"exploration must not be negative, got {self.exploration:g}")
         if not self.observation_factor > 0.0 or not 0.0 <= self.observation_exponent <= 1.0:
-            raise ValueError(
-                f"k·N^α needs k > 0 and α in [0, 1], got observation_factor {self.observation_factor!r} and "
-                f"observation_exponent {self.observation_exponent!r}"
-            )
+            raise ValueError("k·N^α needs observation_factor k > 0 and observation_exponent α in [0, 1]")
 
 
 _step = _observe = _rollout_action = _leaf_value = _legal = unbound
@@ -520,9 +517,7 @@ def play(
         ValueError: the belief is about states of another length.
     """
     if belief.particles.shape[1] != model.state_dim:
-        raise ValueError(
-            f"{model.name} has states of {model.state_dim} numbers, and the belief's have {belief.particles.shape[1]}"
-        )
+        raise ValueError(f"{model.name} has states of {model.state_dim} numbers, which the belief's have not")
     state, after, seen = np.empty(model.state_dim), np.empty(model.state_dim), np.empty(model.observation_dim)
     model.initial(model.parameters, state, rng)
     value, discount, ended = 0.0, 1.0, False

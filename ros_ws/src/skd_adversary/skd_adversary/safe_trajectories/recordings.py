@@ -167,25 +167,18 @@ def check_motion(
         return
     hole = int(np.argmax(passed))
     if passed[hole] > LONGEST_HOLE:
-        raise UsageError(
-            f"{where}, line {lines[hole + 1]}: {passed[hole]:.3g} s after the row before of the same id; cut a track "
-            f"where it has a hole of more than {LONGEST_HOLE:g} s"
-        )
+        raise UsageError(f"{where}, line {lines[hole + 1]}: {passed[hole]:.3g} s after the row before; cut it there")
     moved, stated = np.diff(positions, axis=0), 0.5 * (velocities[1:] + velocities[:-1]) * passed[:, None]
     off = np.hypot(*(moved - stated).T)
     if off.max() > _LEAP:
         leap = int(np.argmax(off > _LEAP))
-        raise UsageError(
-            f"{where}, line {lines[leap + 1]}: moves {float(np.hypot(*moved[leap])):.3g} m in {passed[leap]:.3g} s, "
-            f"and {float(np.hypot(*stated[leap])):.3g} m by its velocities: are positions in m, without jumps?"
-        )
+        way, due = (f"{float(np.hypot(*one[leap])):.3g} m" for one in (moved, stated))
+        raise UsageError(f"{where}, line {lines[leap + 1]}: moves {way} in a row, and {due} by its velocities")
     went, said = moved.sum(axis=0), stated.sum(axis=0)
     longer = max(float(np.hypot(*went)), float(np.hypot(*said)))
     if longer > _LEAST_LENGTH and float(np.hypot(*(went - said))) > share * longer:
-        raise UsageError(
-            f"{where}, line {lines[0]}: the positions from here on go ({went[0]:.3g}, {went[1]:.3g}) m, and their "
-            f"velocities ({said[0]:.3g}, {said[1]:.3g}) m: are columns, units and frame rate those of the dataset?"
-        )
+        ways = f"({went[0]:.3g}, {went[1]:.3g}) m, and their velocities ({said[0]:.3g}, {said[1]:.3g}) m"
+        raise UsageError(f"{where}, line {lines[0]}: the positions from here on go {ways}: check units and frame rate")
 
 
 def check_once(paths: Iterable[tuple[str, FloatArray]], *, moved: bool = True) -> None:

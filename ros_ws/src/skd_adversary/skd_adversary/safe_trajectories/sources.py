@@ -119,8 +119,7 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
     path = Path(path)
     if not path.exists():  # a misspelt name of a kind looks like a path, too
         raise UsageError(
-            f"{path}: cannot be read: No such file or folder; give synthetic, own, walkers, regulatory, or the path of "
-            "one"
+            f"{path}: cannot be read: no such file or folder, nor one of synthetic, own, walkers, regulatory"
         )
     values, lines = read_table(path, _COLUMNS)
     return safe_trajectory(values[:, 0], values[:, 1:], scenario, path, lines)
@@ -153,10 +152,8 @@ def safe_trajectory(
     user = road_user_named(scenario.adversary.kind)
     found = too_fast(times, positions, user.fastest)
     if found:
-        raise UsageError(
-            f"{path}, line {lines[found[0]]}: {found[1]}; a {user.name} moves at most {user.fastest:g} m/s: are t in "
-            "s, and x and y in m, without jumps?"
-        )
+        limit = f"a {user.name} moves at most {user.fastest:g} m/s: are t in s, and x and y in m, without jumps?"
+        raise UsageError(f"{path}, line {lines[found[0]]}: {found[1]}; {limit}")
     duration = float(times[-1] - times[0])
     trajectory = Trajectory(resample(times, positions, scenario.time_step), scenario.time_step, path.stem)
     if duration > scenario.horizon or len(trajectory) < 2:
@@ -184,14 +181,9 @@ def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
     if crosses and (last < first) == eastward and last != first:
         sides = ("West", "East") if scenario.road.straight else ("left", "right")
         goes, towards = sides if eastward else sides[::-1]
-        raise UsageError(
-            f"{path}: walks {goes}, from x = {first:.3g} to {last:.3g} m off the centre line; the adversary crosses "
-            f"towards the {towards}: mirror it, or turn the order of its points round"
-        )
+        way = f"walks {goes}, from x = {first:.3g} to {last:.3g} m off the centre line"
+        raise UsageError(f"{path}: {way}; the adversary crosses towards the {towards}: mirror it")
     episode = EpisodeSpec(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
     x, y = episode.start
     if start_clearance(scenario, x, y, episode.start_gap) <= scenario.adversary.reach:
-        raise UsageError(
-            f"{path}: starts at ({x:g}, {y:g}) m, where the car starts, with its front {episode.start_gap:g} m before "
-            f"the crossing line; start it more than {scenario.path_edge:g} m off the centre line"
-        )
+        raise UsageError(f"{path}: starts at ({x:g}, {y:g}) m, where the car starts; start it farther aside")

@@ -150,9 +150,7 @@ class _Reader:
             own = {key: value for key, value in item.items() if key not in ("name", "sweep")}
             entry = read_model(_Entry, {key: item[key] for key in item if key not in own}, str(self._path), where)
             if entry.name and not _UNSAFE.sub("", entry.name):
-                raise UsageError(
-                    f"{self._path}: {where}.name has nothing that a folder can be called: {short(entry.name)}"
-                )
+                raise UsageError(f"{self._path}: {where}.name: no folder can be called {short(entry.name)}")
             values, sweeps = self.values(own, where), self.sweeps(entry.sweep, f"{where}.sweep")
             self.refuse_repeated({where: [_Part(values)], f"{where}.sweep": sweeps})
             found += [
@@ -204,10 +202,9 @@ class _Reader:
         if is_there(self._beside(value)) and self._beside(value).is_file():
             return self._path_of(value)
         if not is_named(value):
-            raise UsageError(
-                f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
-                f"{did_you_mean(value, SCENARIOS.names())}"
-            )
+            names = SCENARIOS.names()
+            hint = f"{', '.join(names)}{did_you_mean(value, names)}"
+            raise UsageError(f"{what}: {short(value)} is no file beside this one, nor one of: {hint}")
         return value
 
     def _beside(self, name: str) -> Path:

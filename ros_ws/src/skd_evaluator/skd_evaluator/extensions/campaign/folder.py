@@ -130,10 +130,8 @@ class CampaignFolder:
             for key in {**cell, **then[name]}:
                 first, second = then[name].get(key), cell.get(key)
                 if first != second:
-                    raise UsageError(
-                        f"{self._option}: {key} of cell {name} has changed from {short(first)} to {short(second)} "
-                        f"{advice}"
-                    )
+                    what = f"has changed from {short(first)} to {short(second)}"
+                    raise UsageError(f"{self._option}: {key} of cell {name} {what} {advice}")
 
     def _clear(self) -> None:
         """Remove the campaign that is there; the file that says that there is one goes last."""
@@ -168,9 +166,7 @@ class CampaignFolder:
             for file, digest in row["sha256"].items():
                 path = self.path / name / file
                 if not path.is_file() or sha256_of(path) != digest:
-                    raise UsageError(
-                        f"{path}: is not what was written; remove {path.parent}, and --resume makes it again"
-                    )
+                    raise UsageError(f"{path}: is not what was written; remove the cell, and --resume makes it again")
         return found
 
     @contextmanager

@@ -138,10 +138,7 @@ class _Entity:
         else:
             reached = self._speed()
             if reached is None:
-                raise self._refused(
-                    f"its {kind} is followed without times (TimeReference), and not at one speed: nothing says when it "
-                    "is where"
-                )
+                raise self._refused(f"its {kind} is followed without times (TimeReference), and not at one speed")
             (speed, rate), along = reached, np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, 1:], axis=0).T)))
             start = 0.5 * speed**2 / rate  # m, from which on it has its speed
             rows[:, 0] = np.where(along < start, np.sqrt(2.0 * along / rate), speed / rate + (along - start) / speed)
@@ -189,10 +186,8 @@ class _Entity:
         points, weights = self._points(controls), np.array([self._number(one, "weight", "1") for one in controls])
         knots = np.array([self._number(one, "value") for one in shape.findall("Knot")])
         if order < 2 or len(points) < order or len(knots) != len(points) + order:
-            raise self._refused(
-                f"follows a NURBS of order {order} with {len(points)} control points and {len(knots)} knots; as many "
-                "points as its order, and knots for both, are needed"
-            )
+            counts = f"{len(points)} control points and {len(knots)} knots"
+            raise self._refused(f"follows a NURBS of order {order} with {counts}, which do not go together")
         begin, end = knots[order - 1], knots[len(points)]
         if (weights <= 0.0).any() or (np.diff(knots) < 0.0).any() or begin >= end:
             raise self._refused("follows a NURBS with weights or knots that must be above others")
@@ -234,9 +229,7 @@ class _Entity:
             raise self._refused(f"{here}, not at a WorldPosition, and its OpenDRIVE is {name} here")
         road = _roads(self.road_map).get(found.get("roadId", ""))
         if road is None:
-            raise self._refused(
-                f"a vertex is on road {found.get('roadId')!r}, which {self.road_map.name} does not have"
-            )
+            raise self._refused(f"a vertex is on road {found.get('roadId')!r}, which the OpenDRIVE does not have")
         s, t, lane, offset = (self._number(found, key, "0") for key in ("s", "t", "laneId", "offset"))
         try:
             return _on_road(road, s, t if found.tag == "RoadPosition" else _lane_centre(road, s, int(lane)) + offset)

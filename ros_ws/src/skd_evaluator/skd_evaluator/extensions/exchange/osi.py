@@ -137,9 +137,8 @@ def _parsed(kind: Any, data: bytes, path: Path) -> Any:
         message = kind()
         message.ParseFromString(data)
     except Exception as error:  # google.protobuf's DecodeError, and whatever damaged bytes make it raise
-        raise UsageError(
-            f"{path}: a message is no {kind.DESCRIPTOR.name} of OSI (traces of sensor views have _sv_ in their names)"
-        ) from error
+        what = f"a message is no {kind.DESCRIPTOR.name} of OSI"
+        raise UsageError(f"{path}: {what} (traces of sensor views have _sv_ in their names)") from error
     return message
 
 

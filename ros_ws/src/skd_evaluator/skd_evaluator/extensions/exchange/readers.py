@@ -18,6 +18,7 @@ import numpy as np
 from skd_adversary.safe_trajectories.recordings import csv_rows, header_of
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, is_there, read_json, read_xml
+from skd_sim.inputs.yaml_file import short
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.world.episode import Mode
 
@@ -183,16 +184,14 @@ def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage |
     if form == LEVELX and request.road_user is None:
         if request.needs_car:
             raise UsageError(f"{path}: --frame car needs one --road-user and one --car of its tracks")
-        cut = [
+        every = (
             one if isinstance(one, Listed) else track_or_why(one.where, one.name, one.form, one.cut, *ends)
             for one in found
-        ]
-        return [TrackSource(f"{path.stem}_{one.name}", path, form, one, None) for one in cut]
+        )
+        return [TrackSource(f"{path.stem}_{one.name}", path, form, one, None) for one in every]
     others = [one for one in found if one.name != usual[0]] if request.road_user is None else found
     if found and not others:
-        raise UsageError(
-            f"{path}: has no object beside {usual[0]!r}, which is taken for the car: name one by --road-user"
-        )
+        raise UsageError(f"{path}: has no object but {usual[0]!r}, the car: name one by --road-user")
     user = _one_of(others, request.road_user, usual[1], "--road-user", path)
     car = _one_of(found, request.car or usual[0], usual[0], "--car", path) if request.needs_car else None
     return [TrackSource(_OSI_NAME.sub("", path.stem), path, form, user.cut(*ends), car and car.cut(*ends))]
@@ -225,12 +224,9 @@ def _one_of(found: Sequence[Track | Listed], name: str | None, usual: str, optio
     if name is not None and name not in known:
         raise UsageError(f"{path}: has no {name!r}; it has {listed(known)}: name one by {option}")
     if name is None and usual not in known and len(read) != 1:
-        if not read and found:
-            why = "; ".join(
-                f"{one.name!r} ({one.form}): {one.why}" for one in list(found)[:3] if isinstance(one, Listed)
-            )
-            raise UsageError(f"{path}: has no object whose track is read: {why}")
-        raise UsageError(f"{path}: has {listed(read)}: name one by {option}")
+        why = "; ".join(f"{one.name!r} ({one.form}): {one.why}" for one in found[:3] if isinstance(one, Listed))
+        none = f"no object whose track is read: {why}"
+        raise UsageError(f"{path}: has {none if found and not read else f'{listed(read)}: name one by {option}'}")
     one = known.get(usual if name is None else name) or next(iter(read.values()))
     if isinstance(one, Listed):
         raise UsageError(f"{path}, {one.name}: {one.why}")
@@ -273,20 +269,16 @@ def _read_table(path: Path, request: ImportRequest, *, every: bool) -> tuple[str
     if set(_TIMED) <= set(header):
         rows = [row for _, _, row in csv_rows(path, _TIMED, ())]
         return "a track (t, x, y)", [Track.of_rows(rows, f"{path}, {path.stem}", path.stem, form="t, x, y")]
-    raise UsageError(
-        f"{path}, line 1: the header must name {','.join(_TIMED)} or {','.join(_NAMED)} or {','.join(_FRAMED)}, got "
-        f"{' '.join(','.join(header).split())[:160] or 'nothing'}"
-    )
+    layouts = " or ".join(map(",".join, (_TIMED, _NAMED, _FRAMED)))
+    raise UsageError(f"{path}, line 1: the header must name {layouts}, got {short(','.join(header))}")
 
 
 def _levelx(path: Path, names: Collection[str], kind: str | None) -> list[Track | Listed]:
     rate, classes = _rate(path), _classes(path)
-    chosen = set(names)
+    chosen = set(names) or set(classes)
     if missing := sorted(chosen - set(classes)):
         raise UsageError(f"{path}: has no track {listed(missing)}; its tracks are {listed(classes)}")
-    if not chosen and kind is None:
-        chosen = set(classes)
-    elif not chosen and kind is not None:
+    if not names and kind is not None:
         word = ROAD_USERS.find(kind).names.get("levelxdata")
         chosen = {name for name, one in classes.items() if one == word}
         if not chosen:

@@ -190,10 +190,8 @@ def recorded(scenario: Scenario, scene: Interaction, phi: str, where: str) -> Re
         raise UsageError(f"{where}: the trial lasts {scene.times[-1]:.1f} s, too short to calibrate with")
     speed, simulated = float(scene.car[0, 3]), scenario.car.start_speed
     if abs(speed - simulated) > _OFF_SPEED * simulated:
-        raise UsageError(
-            f"{where}: the car begins at {speed:.2f} m/s, and in the simulation at {simulated:.2f}: simulate the speed "
-            "of the trials (--set car.start_speed=…)"
-        )
+        what = f"begins at {speed:.2f} m/s, and in the simulation at {simulated:.2f}"
+        raise UsageError(f"{where}: the car {what}: simulate that speed (--set car.start_speed=…)")
     times = scenario.time_step * np.arange(ticks + 1)
     places = np.column_stack([np.interp(times, scene.times, column) for column in scene.other.T])
     periods = scenario.control_duration * np.arange(ticks * scenario.control_periods + 1)
@@ -422,10 +420,8 @@ def calibration_of(
         except ValueError as error:
             raise UsageError(str(error)) from error
     if found.after > POOR:
-        raise UsageError(
-            f"with the best parameters simulated cars are {found.after:.2f} m (root mean square) from where recorded "
-            f"ones were, more than {POOR:g} m: it is another car, or other software"
-        )
+        off = f"{found.after:.2f} m (root mean square) off the recorded ones, more than {POOR:g} m"
+        raise UsageError(f"with the best parameters simulated cars are {off}: it is another car, or other software")
     return found
 
 

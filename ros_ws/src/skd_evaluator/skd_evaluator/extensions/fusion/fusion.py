@@ -299,15 +299,10 @@ def _check_spread(figure: TrialFigure, pairs: Pairs, line: Line) -> None:
     begin, x, population = f"{figure.text}: nothing is said, for", pairs.simulated, pairs.population
     if line.predicts and not stand_for_all(x, population):
         few, every = (f"{np.std(one, ddof=1):.3g} {figure.unit}" for one in (x, population))
-        raise NotSaidError(
-            f"{begin} the φ with trials are too alike (simulated standard deviation {few}, over all φ {every}): make "
-            "more trials"
-        )
+        spread = f"simulated standard deviation {few}, over all φ {every}"
+        raise NotSaidError(f"{begin} the φ with trials are too alike ({spread}): make more trials")
     if x.size < _FEW and kurtosis(pairs.shape) > _RARE:
-        raise NotSaidError(
-            f"{begin} a few φ decide the mean (simulated kurtosis {kurtosis(pairs.shape):.0f}): make trials on at "
-            f"least {_FEW} φ"
-        )
+        raise NotSaidError(f"{begin} a few φ decide the mean, by the simulation: make trials on at least {_FEW} φ")
 
 
 def _reach(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Reach:
@@ -323,10 +318,8 @@ def _reach(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float, *, 
     mirrored, least = (skewness(off) >= 0.0) != leans, least_variance(off.size) if line.predicts else 0.0
     reach = rehearsed(pairs.shape, off.size, confidence, by_line=by_line, mirrored=mirrored, least=least)
     if line.predicts == by_line and max(reach) > _MOST_REACH:
-        raise NotSaidError(
-            f"{figure.text}: nothing is said, for the simulated figures are so skewed over φ that {off.size} trials do "
-            "not tell the mean of such: make more trials"
-        )
+        what = f"nothing is said, for {off.size} trials do not tell the mean of figures as skewed as the simulated ones"
+        raise NotSaidError(f"{figure.text}: {what}: make more trials")
     return reach
 
 

@@ -123,10 +123,8 @@ def _places_at(track: Track, times: FloatArray, *, holes: bool = False) -> Float
     """Return places at some times (s), n × 2, m, in straight lines; a hole is refused unless `holes`."""
     known = track.times
     if times[0] < known[0] - 1e-6 or times[-1] > known[-1] + 1e-6:
-        raise UsageError(
-            f"{track.where}: is tracked from {known[0]:.2f} to {known[-1]:.2f} s, and the trial is from "
-            f"{times[0]:.2f} to {times[-1]:.2f} s{_why(track)}"
-        )
+        there, trial = (f"{one[0]:.2f} to {one[-1]:.2f} s" for one in (known, times))
+        raise UsageError(f"{track.where}: is tracked from {there}, and the trial is from {trial}{_why(track)}")
     hole = np.diff(known)[np.clip(np.searchsorted(known, times), 1, len(known) - 1) - 1].max()
     if hole > LONGEST_GAP and not holes:
         raise UsageError(f"{track.where}: has a hole of {hole:.2f} s, more than {LONGEST_GAP:g} s{_why(track)}")
@@ -209,10 +207,8 @@ class TrialRecorder:
         if contact is None and said.get("hit") != 1.0:
             self._check_whole(scene, self.safe[trial.phi], path)
         if hit and is_apart:
-            raise UsageError(
-                f"{where}: says that the car did not hit, and in the recording it is more than {depth:g} m inside the "
-                f"road user's outline, at {speeds[-1]:.1f} m/s; that is a hit (hit = 1)"
-            )
+            how = f"in the recording it is more than {depth:g} m inside the road user, at {speeds[-1]:.1f} m/s"
+            raise UsageError(f"{where}: says that the car did not hit, and {how} (hit = 1)")
         values, gap = figures_of(scene, hit=hit), gap_to_crossing(self.scenario, scene.car[0])
         if said.get("hit") == 1.0:
             if values["clearance"] > _NOISE:
@@ -221,14 +217,10 @@ class TrialRecorder:
             values["clearance"] = 0.0
         for key in ("clearance", "required_deceleration"):
             if key in said and abs(said[key] - values[key]) > _NOISE:
-                raise UsageError(
-                    f"{where}: {key} is said to be {said[key]:g}, and the recording gives {values[key]:.3g}"
-                )
+                raise UsageError(f"{where}: {key} is said to be {said[key]:g}, the recording gives {values[key]:.3g}")
         if trial.gap is not None and abs(trial.gap - gap) > self.gap_tolerance:
-            raise UsageError(
-                f"{where}: gap is said to be {trial.gap:.2f} m, and the recording gives {gap:.2f}, more than "
-                f"{self.gap_tolerance:g} m off: leave it out, or does --reference say which point is tracked?"
-            )
+            gaps = f"{trial.gap:.2f} m, and the recording gives {gap:.2f}"
+            raise UsageError(f"{where}: gap is said to be {gaps}: leave it out, or give --reference")
         values, gap = {**values, **said}, gap if trial.gap is None else trial.gap
         seen_hit = seen is not None and is_hit(speeds[seen])
         return replace(trial, values=values, gap=gap, seen_hit=seen_hit, track=track_of(scene))
@@ -258,9 +250,8 @@ class TrialRecorder:
         self._check_road(scene, path)
         fastest, least = float(scene.car[:, 3].max()), self.scenario.collision.hit_speed
         if fastest < least:
-            raise UsageError(
-                f"{path}: the car never drives, at most {fastest:.2f} m/s, and a hit begins at {least:g} m/s"
-            )
+            what = f"the car never drives, at most {fastest:.2f} m/s"
+            raise UsageError(f"{path}: {what}, and a hit begins at {least:g} m/s")
         return scene
 
     def _beginning(self, other: Track, phi: FloatArray, path: Path) -> float:
@@ -268,10 +259,7 @@ class TrialRecorder:
         ticks = self.scenario.time_step * np.arange(len(phi))
         first, last = other.times[0], other.times[-1] - _LEAST_SHARE * ticks[-1]
         if last < first:
-            raise UsageError(
-                f"{path}: the road user is tracked for {other.times[-1] - other.times[0]:.1f} s, less than half of its "
-                f"φ ({ticks[-1]:.1f} s)"
-            )
+            raise UsageError(f"{path}: the road user is tracked for less than half of its φ ({ticks[-1]:.1f} s)")
 
         def off(begin: float) -> float:
             tracked = (begin + ticks <= other.times[-1] + 1e-9) & (begin + ticks >= other.times[0] - 1e-9)
@@ -299,10 +287,8 @@ class TrialRecorder:
         off = np.hypot(*(scene.other - due).T)
         worst = int(np.argmax(off))
         if off[worst] > self.tolerance:
-            raise UsageError(
-                f"{path}: the road user is {off[worst]:.2f} m off its φ after {scene.times[worst]:.1f} s, more than "
-                f"{self.tolerance:g} m: is it the φ of this trial, and does --frame say where map lies?"
-            )
+            how = f"{off[worst]:.2f} m off its φ after {scene.times[worst]:.1f} s, more than {self.tolerance:g} m"
+            raise UsageError(f"{path}: the road user is {how}: is it this φ, and does --frame say where map lies?")
 
     def _check_whole(self, scene: Interaction, phi: FloatArray, path: Path) -> None:
         """Refuse a recording that ends while the two still come nearer: how near they came is not known."""
@@ -310,10 +296,8 @@ class TrialRecorder:
         distances = clearances(scene)
         before = distances[scene.times < scene.times[-1] - _END]
         if missing > _END and (not before.size or distances[-1] < before.min()):
-            raise UsageError(
-                f"{path}: ends {missing:.1f} s before its φ does, and the two still come nearer then: record car and "
-                "road user until the car has passed or stands, or to the contact (hit = 1 in the table)"
-            )
+            how = f"ends {missing:.1f} s before its φ does, and the two still come nearer then"
+            raise UsageError(f"{path}: {how}: record until the car has passed or stands, or to the contact (hit = 1)")
 
     def _check_road(self, scene: Interaction, path: Path) -> None:
         """Refuse a car that is beside its lane, across it, or goes elsewhere than it points."""

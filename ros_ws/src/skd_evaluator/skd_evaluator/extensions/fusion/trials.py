@@ -145,10 +145,7 @@ def read_trials(
         trial = _checked_trial(PhysicalTrial(phi, values, values.pop("gap", None), f"{path}, line {line}"))
         if any(files):
             if measured is None:
-                raise UsageError(
-                    f"{trial.where}: recordings cannot be measured without road and shapes: SIMULATED must be the "
-                    "folder of an assessment, or the table must hold figures"
-                )
+                raise UsageError(f"{trial.where}: to measure recordings SIMULATED must be the folder of an assessment")
             file = path.parent / files[0]
             trial = measured(file, trial)
             _check_once(known, real_path(file), trial)
@@ -170,10 +167,8 @@ def _checked_trial(trial: PhysicalTrial) -> PhysicalTrial:
         if figure.is_rate and value not in (0.0, 1.0):
             raise UsageError(f"{where}: {key} must be 1 (the car hit) or 0, got {value:g}")
         if not 0.0 <= value <= figure.most:
-            raise UsageError(
-                f"{where}: {key} must be from 0 to {figure.most:g} {figure.unit}, got {value:g}: is it in "
-                f"{figure.unit}?"
-            )
+            limits = f"from 0 to {figure.most:g} {figure.unit}, got {value:g}: is it in {figure.unit}?"
+            raise UsageError(f"{where}: {key} must be {limits}")
     if values.get("hit") == 1.0 and values.get("clearance", 0.0) > 0.0:
         raise UsageError(f"{where}: the car hit, and its clearance is {values['clearance']:g} m; it must be 0")
     if gap is not None and not 0.0 <= gap <= _FARTHEST:
@@ -353,9 +348,7 @@ def _predicted(key: str, trial: PhysicalTrial, every: Mapping[str, Sequence[Phys
         known = [one.gap for one in runs if one.gap is not None]
         runs = [one for one in runs if one.gap is None or abs(one.gap - gap) <= tolerance]
         if not runs:
-            raise UsageError(
-                f"{trial.where}: the car was {gap:.2f} m before the crossing line when {trial.phi} began, in the "
-                f"simulation {min(known):.2f} to {max(known):.2f} m: no simulated run within {tolerance:g} m is of "
-                "that timing; simulate more runs along φ, or start the car where it starts in the simulation"
-            )
+            began = f"{gap:.2f} m before the crossing line when {trial.phi} began"
+            simulated = f"and in the simulation {min(known):.2f} to {max(known):.2f} m"
+            raise UsageError(f"{trial.where}: the car was {began}, {simulated}: no run within {tolerance:g} m")
     return float(np.mean([one.values[key] for one in runs]))

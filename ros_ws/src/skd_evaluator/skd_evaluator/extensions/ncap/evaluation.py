@@ -79,10 +79,7 @@ def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[Protoc
     """
     scenario = load_scenario(source)
     if scenario.protocol is None:
-        raise UsageError(
-            f"scenario {source} has no section protocol, so no regulator's test is known in it; "
-            "skd scenarios list names those that have impact places"
-        )
+        raise UsageError(f"scenario {source} has no section protocol, so no regulator's test is known in it")
     matrix = next((found for name in lineage(source) if (found := matrix_of(name)) is not None), None)
     points = () if matrix is None else matrix.points
     places = scenario.protocol.impact_places

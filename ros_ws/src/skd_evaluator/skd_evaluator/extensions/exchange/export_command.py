@@ -1,0 +1,91 @@
+"""`skd export`: kamikazes and safe trajectories of a result as files that other tools open."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.cli.arguments import (
+    add_count,
+    add_flag,
+    add_output_arguments,
+    add_value,
+    result_folder,
+    whole_number,
+)
+from skd_evaluator.cli.output import finish
+from skd_evaluator.cli.parser import Parser
+
+EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
+"""Names of the formats: see `exports.FORMATS`."""
+
+
+def add_export(parser: Parser) -> None:
+    """Write kamikazes and safe trajectories as OpenSCENARIO, OSI, CommonRoad or csv.
+
+    Write the safe trajectories φ of a result, and every kamikaze, as files that other tools open. docs/logs.md says
+    what each format keeps.
+    """
+    parser.set_defaults(group="exchange")
+    add_value(parser, "path", "folder of an assessment", type=Path, metavar="RESULT")
+    text = "openscenario (1.2, OpenDRIVE road), osi (ground truth as MCAP; extra exchange), commonroad (2020a), csv"
+    add_value(parser, "--format", text, choices=EXPORT_FORMATS, required=True)
+    which = parser.add_mutually_exclusive_group()
+    text = "only the episode that has this id in episodes.npz and bags, and its φ"
+    add_value(which, "--episode", text, type=whole_number(0), metavar="ID")
+    worst = "only so many episodes, the worst for the car first, runs along φ among them, and their φ"
+    add_count(which, "--worst", 1, 1_000_000, worst)
+    add_value(parser, "--objective", "only kamikazes of this objective, and their φ", metavar="NAME")
+    add_flag(parser, "--no-car", "leave out how the car drove, so that another may drive in its place")
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    from skd_evaluator.assessment.files.assessment_json import understood
+    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.extensions.exchange.exports import FORMATS, exports_of, selected_episodes
+    from skd_evaluator.extensions.exchange.osi import osi_writer, write_osi
+    from skd_evaluator.extensions.exchange.scene import EXPORT, ROAD_FILE
+    from skd_evaluator.extensions.exchange.xml_formats import write_road
+    from skd_evaluator.report.formats import counted
+    from skd_evaluator.report.html.subjects import read_subjects
+    from skd_evaluator.version import version
+
+    kind = FORMATS[arguments.format]
+    if kind.write is write_osi:
+        osi_writer()  # that its libraries are there
+    subject, *others = read_subjects([arguments.path])
+    if others:
+        held = f"holds {1 + len(others)} assessments"
+        raise UsageError(f"{arguments.path}: {held}; give the folder of one, as {subject.folder}")
+    with understood(arguments.path):
+        numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
+        out = result_folder(arguments)
+        going = exports_of(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
+    files = {kind.name(one.recorded): one for one in going}
+    content = {
+        "export": 1,
+        "skd": version(),
+        "result": str(arguments.path),
+        "format": arguments.format,
+        "road": ROAD_FILE if kind.with_road else None,
+        "files": [{"file": name, **one.entry} for name, one in files.items()],
+    }
+
+    def write(folder: Path) -> None:
+        if kind.with_road:
+            write_road(folder / ROAD_FILE, [one.recorded for one in going])
+        for name, one in files.items():
+            kind.write(folder / name, one.recorded)
+        write_json(folder / EXPORT, content)
+
+    def show() -> None:
+        if not problem:
+            said = f"{len(going) - len(numbers)} φ and {counted(len(numbers), 'episode')} as {arguments.format}"
+            print(f"{said} in {out.path}; {EXPORT} says which file is which")
+
+    problem = out.save(write)
+    return finish(arguments, content, show, subject.warnings, [problem])
