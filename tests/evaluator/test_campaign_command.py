@@ -235,7 +235,7 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
         yield used[-1]
 
     monkeypatch.setattr(session_module, "graph_session", session)
-    monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
+    monkeypatch.setattr(session_module, "prepare_ros", lambda _options: None)
     write(here, "cars: [{graph: true}]")
     words = ("campaign", "campaign.yaml", "--out")
     failed = skd_here(*words, "out")

@@ -8,7 +8,7 @@ import re
 
 import pytest
 from cli_support import names, one_line, skd
-from skd_evaluator.extensions.ncap import command as ncap
+from skd_evaluator.extensions.ncap import evaluation
 from skd_evaluator.extensions.ncap.page import views_of
 from skd_evaluator.extensions.ncap.result import RESULT, NcapCell, read_ncap
 from skd_evaluator.library import assess
@@ -208,7 +208,7 @@ def test_a_car_that_does_not_repeat_itself_is_not_credible(cars):
 
 
 def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
-    judged, begun = ncap.evaluated_grid, []
+    judged, begun = evaluation.evaluated_grid, []
 
     def interrupted(source, *others):
         begun.append(source)
@@ -216,7 +216,7 @@ def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
             raise KeyboardInterrupt
         return judged(source, *others)
 
-    monkeypatch.setattr(ncap, "evaluated_grid", interrupted)
+    monkeypatch.setattr(evaluation, "evaluated_grid", interrupted)
     done = skd_here("ncap", "--scenarios", "cpna-50,cpfa-50,cpnco-50", *NONE, "--out", "out")
     assert (done.returncode, begun) == (130, ["cpna-50", "cpfa-50"])
     assert "cpna-50 (CPNA day)" in done.stdout

@@ -51,8 +51,8 @@ setup(
             "skd = skd_evaluator.start:skd",
         ],
         "skd.commands": [
-            "campaign = skd_evaluator.extensions.campaign.options:add_campaign",
-            "ncap = skd_evaluator.extensions.ncap.options:add_ncap",
+            "campaign = skd_evaluator.extensions.campaign.command:add_campaign",
+            "ncap = skd_evaluator.extensions.ncap.command:add_ncap",
             "fuse = skd_evaluator.extensions.fusion.command:add_fuse",
             "export = skd_evaluator.extensions.exchange.export_command:add_export",
             "import = skd_evaluator.extensions.exchange.import_command:add_import",

@@ -275,8 +275,8 @@ def _check(car: FittedCar) -> None:
                 raise UsageError(f"parameters.{name}.{key} must be {limit}, got {number:g}")
     delay = car.parameters["reaction_delay"].estimate or 0.0
     if delay > (LONGEST_DELAY + 1e-9) * car.time_step:
-        most = f"{LONGEST_DELAY} ticks of {car.time_step:g} s"
-        raise UsageError(f"parameters.reaction_delay.estimate must be at most {most}, got {delay:g} s")
+        ticks = f"{LONGEST_DELAY} ticks of {car.time_step:g} s"
+        raise UsageError(f"parameters.reaction_delay.estimate must be at most {ticks}, got {delay:g} s")
 
 
 def _forest(text: str, where: str) -> CarForest:

@@ -3,42 +3,59 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.markup import escape
-from rich.table import Table
 from skd_sim.errors import UsageError
-from skd_sim.world.episode import EpisodeSpec
 
-from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
-from skd_evaluator.assessment.run.workers import available_workers
-from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
-from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
-from skd_evaluator.assessment.stages.risk import warm_up_risk
-from skd_evaluator.cli.arguments import output_path, runner_of
+from skd_evaluator.cli.arguments import (
+    add_flag,
+    add_max_aborted_argument,
+    add_output_arguments,
+    add_runner_arguments,
+    add_value,
+    output_path,
+    runner_of,
+)
 from skd_evaluator.cli.output import finish, print_json, say, warn
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED
-from skd_evaluator.errors import OutOfReachError
-from skd_evaluator.extensions.campaign.campaign import Campaign
-from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, make_cells, planned_rows
-from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.report.formats import counted, interval, number, percent
-from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.repeat import program
-from skd_evaluator.report.tables import credibility_mark, equal_remarks
-from skd_evaluator.report.terminal import bounded_cell, narrow_table, print_table
-from skd_evaluator.ros.session import prepare_ros
+from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from skd_sim.world.episode import EpisodeSpec
+
+    from skd_evaluator.extensions.campaign.campaign import Campaign
+    from skd_evaluator.extensions.campaign.cells import Cell
 
 _CELLS_ON_A_CLUSTER = 8
 
 
+def add_campaign(parser: Parser) -> None:
+    """Rate many cars in many scenarios from one file; can be resumed.
+
+    Rate many cars, in many scenarios, with many seeds and values of any key, all described in one YAML file. Every
+    episode is stored as soon as it has run: whatever ends a campaign, --resume goes on with it.
+    """
+    parser.set_defaults(group="rate")
+    add_value(parser, "path", "YAML file that says what to rate (see docs/campaigns.md)", type=Path, metavar="FILE")
+    add_flag(parser, "--resume", "go on with the campaign in --out, or begin it if there is none")
+    add_flag(parser, "--dry-run", "only say which assessments there would be, and of how many episodes")
+    add_runner_arguments(parser)
+    add_max_aborted_argument(parser)
+    add_output_arguments(parser)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
+    from skd_evaluator.errors import OutOfReachError
+    from skd_evaluator.extensions.campaign.campaign import Campaign
+    from skd_evaluator.extensions.campaign.campaign_file import read_campaign
+    from skd_evaluator.extensions.campaign.cells import make_cells
+    from skd_evaluator.extensions.campaign.folder import CampaignFolder
+
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
     combinations = read_campaign(arguments.path)
@@ -81,6 +98,8 @@ def _say_resumed(campaign: Campaign, cells: Sequence[Cell], *, quiet: bool) -> N
 
 def _prepare_graphs(cells: Sequence[Cell]) -> None:
     """See that the node graph can be run where a cell needs it."""
+    from skd_evaluator.ros.session import prepare_ros
+
     options = [(cell.graph, cell) for cell in cells if cell.graph is not None]
     for one, cell in options:
         try:
@@ -92,6 +111,11 @@ def _prepare_graphs(cells: Sequence[Cell]) -> None:
 
 
 def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
+    from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
+    from skd_evaluator.assessment.stages.pipeline import compile_for_graph
+    from skd_evaluator.assessment.stages.risk import warm_up_risk
+    from skd_evaluator.report.progress import progress_bar
+
     if in_process := campaign.in_process:
         runner = runner_of(
             arguments,
@@ -106,7 +130,8 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
                     if cell.requested["risk"].behaviour is not None:
                         warm_up_risk(cell.plan)
                 runner.start(_planners(in_process), inherited=load_margins)
-            importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
+            import skd_evaluator.report.pictures  # noqa: F401 - it may start a program: see `Campaign`
+
             with progress_bar(quiet=arguments.quiet) as progress:
                 campaign.run(runner, progress, _threads(arguments))
     if through_graph := campaign.through_graph:
@@ -118,11 +143,15 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
 
 def _threads(arguments: argparse.Namespace) -> int:
     """Return how many cells run at a time: while one has few episodes left, another has many."""
+    from skd_evaluator.assessment.run.workers import available_workers
+
     return _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, arguments.workers or available_workers())
 
 
 def _planners(cells: Sequence[Cell]) -> list[EpisodeSpec]:
     """Return short episodes that make the planners of all cells compile, one for those that share theirs."""
+    from skd_evaluator.assessment.stages.pipeline import planners_of
+
     found: dict[tuple[object, ...], EpisodeSpec] = {}
     for cell in cells:
         for episode in planners_of(cell.plan, cell.requested["objectives"]):
@@ -133,6 +162,8 @@ def _planners(cells: Sequence[Cell]) -> list[EpisodeSpec]:
 
 def _state(campaign: Campaign) -> str:
     """Return how far a campaign is, in words."""
+    from skd_evaluator.report.formats import counted
+
     done = f"{campaign.content['done']} of {counted(len(campaign.rows), 'cell')} done"
     return f"{done}, and {counted(campaign.kept_episodes, 'episode')} of the others kept"
 
@@ -146,6 +177,8 @@ def _interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -
 
 def _go_on(arguments: argparse.Namespace, out: Path) -> str:
     """Return the command that goes on with a campaign."""
+    from skd_evaluator.report.repeat import program
+
     words = [word for word in arguments.command_line if word not in ("--overwrite", "--resume")]
     if arguments.out is None:
         words += ["--out", str(out)]
@@ -153,6 +186,10 @@ def _go_on(arguments: argparse.Namespace, out: Path) -> str:
 
 
 def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
+    from skd_evaluator.extensions.campaign.cells import planned_rows
+    from skd_evaluator.report.formats import counted
+    from skd_evaluator.report.terminal import print_table
+
     rows = planned_rows(cells)
     total, most = (sum(row[key] for row in rows) for key in ("episodes", "most"))
 
@@ -164,9 +201,12 @@ def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
 
 
 def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
+    from skd_evaluator.extensions.campaign.cells import FAILED
+    from skd_evaluator.report.tables import equal_remarks
+    from skd_evaluator.report.terminal import print_table
+
     content: dict[str, Any] = campaign.content
     rows = content["cells"]
-    assert all(row["state"] in (DONE, FAILED) for row in rows)
 
     def show() -> None:
         print_table(campaign_table(rows))
@@ -184,6 +224,10 @@ def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) ->
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of the cells of a campaign before they run."""
+    from rich.markup import escape
+
+    from skd_evaluator.report.terminal import narrow_table
+
     keys = ("name", "scenario", "safe", "episodes", "most")
     cells = [[escape(str(row[key])) for key in keys] for row in rows]
     return narrow_table("Cells", ("cell", "scenario", "safe", "episodes", "at most"), cells)
@@ -191,6 +235,12 @@ def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
+    from rich.markup import escape
+
+    from skd_evaluator.report.formats import interval, number, percent
+    from skd_evaluator.report.tables import credibility_mark
+    from skd_evaluator.report.terminal import bounded_cell, narrow_table
+
     heads = ["cell", "margin\n(m)", "95 %,\nby φ", "equiv.\nC", "nominal\ncollisions", "planned\n(m)"]
     heads += ["adversary\nmodel", "SKD\n(m)"]
     cells = [

@@ -420,8 +420,8 @@ def calibration_of(
         except ValueError as error:
             raise UsageError(str(error)) from error
     if found.after > POOR:
-        off = f"{found.after:.2f} m (root mean square) off the recorded ones, more than {POOR:g} m"
-        raise UsageError(f"with the best parameters simulated cars are {off}: it is another car, or other software")
+        apart = f"{found.after:.2f} m (root mean square) off the recorded ones, more than {POOR:g} m"
+        raise UsageError(f"with the best parameters simulated cars are {apart}: it is another car, or other software")
     return found
 
 

@@ -7,52 +7,73 @@ import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
-from skd_sim.options.options import options_of, values_of
-from skd_sim.scenario.scenario_file import REGULATORY
-from skd_sim.start import installing
-from skd_sim.world.episode import EpisodeLog
 
-from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.from_options import check_car
-from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
-from skd_evaluator.assessment.stages.margin import warm_up_margins
-from skd_evaluator.cli.arguments import result_folder, runner_of
+from skd_evaluator.assessment.options import AssessmentOptions
+from skd_evaluator.cli.arguments import (
+    CAR_GROUP,
+    add_options,
+    add_output_arguments,
+    add_runner_arguments,
+    result_folder,
+    runner_of,
+    steps_of,
+)
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED
-from skd_evaluator.extensions.ncap.evaluation import (
-    NcapRequest,
-    evaluated_grid,
-    log_warnings,
-    requested_tests,
-    scenario_of,
-)
-from skd_evaluator.extensions.ncap.layout import print_ncap
-from skd_evaluator.extensions.ncap.result import (
-    PAGE,
-    RESULT,
-    Grid,
-    Ncap,
-    as_data,
-    points_of,
-    with_calculator,
-)
-from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.provenance import provenance
-from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.version import version
+from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+from skd_evaluator.extensions.ncap.matrices import known_scenarios
+
+if TYPE_CHECKING:
+    from skd_evaluator.extensions.ncap.evaluation import NcapRequest
+    from skd_evaluator.extensions.ncap.result import Grid, Ncap
+
+SCENARIOS = "cpna,cpfa,cpnco"
+TRIALS = 5
+
+
+def add_ncap(parser: Parser) -> None:
+    """Run a regulator's tests: colours of Euro NCAP 2026, and the margin of each.
+
+    Run the static tests of Euro NCAP 2026, test speeds × impact places, in which the target does what the protocol
+    prescribes. Each cell has the impact speed, its colour, and the safety margin. So a test that is passed with little
+    room stands out. This is not an official rating (docs/campaigns.md).
+    """
+    parser.set_defaults(group="rate")
+    tests = parser.add_argument_group(CAR_GROUP)
+    cars = "the car under test: basic, cal, carla, a registered name, file.py:Class or package.module:Class"
+    add_options(tests, "ncap", CAR_GROUP, controller={"help": f"{cars} (default: basic)"})
+    text = "scenarios with impact places, names or files, with commas in between (default: %(default)s)"
+    scenarios = tests.add_argument("--scenarios", default=SCENARIOS, metavar="LIST", help=text)
+    scenarios.names = known_scenarios  # type: ignore[attr-defined]  # which a shell completes
+    text = "test speeds of the car, km/h, as 10:60:10 (default: those of each scenario's matrix)"
+    tests.add_argument("--speeds", type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP", help=text)
+    margins = parser.add_argument_group("margins")
+    add_options(margins, "ncap", table=AssessmentOptions)
+    trials = f"how many trials there are in each cell, each with draws of its own (default: {TRIALS})"
+    add_options(margins, "ncap", "campaign", kamikaze_count={"default": TRIALS, "help": trials})
+    add_runner_arguments(parser)
+    add_output_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
+    from skd_evaluator.assessment.stages.margin import warm_up_margins
+    from skd_evaluator.extensions.ncap.evaluation import evaluated_grid, log_warnings
+    from skd_evaluator.extensions.ncap.layout import print_ncap
+    from skd_evaluator.extensions.ncap.result import PAGE, RESULT, as_data
+    from skd_evaluator.metrics.aborted import not_credible
+    from skd_evaluator.provenance import provenance
+    from skd_evaluator.report.progress import progress_bar
+
     sources = names_in(arguments.scenarios)
     request = request_of(arguments, sources)
     out = result_folder(arguments)
     grids: list[Grid] = []
-    logs: list[EpisodeLog] = []
+    logs = []
     try:
         with runner_of(arguments, isolated=request.plan.runs_others_code) as runner:
             if request.margin_limit:
@@ -89,7 +110,8 @@ def run(arguments: argparse.Namespace) -> int:
         if not problem:
             print(f"results in {out.path}")
 
-    failures = [problem, None if any(_is_evaluated(grid) for grid in grids) else "no test could be evaluated"]
+    touched = [cell.touched for grid in grids for cell in grid.cells]
+    failures = [problem, "no test could be evaluated" if set(touched) <= {None} else None]
     code = finish(arguments, content, show, found.warnings, failures)
     return 1 if not_credible(found.warnings) else code
 
@@ -113,6 +135,14 @@ def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapReq
     Raises:
         UsageError: there is no such scenario or car, or they do not go together.
     """
+    from skd_sim.options.options import options_of, values_of
+    from skd_sim.scenario.scenario_file import REGULATORY
+
+    from skd_evaluator.assessment.from_options import check_car
+    from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
+    from skd_evaluator.assessment.plan import Plan
+    from skd_evaluator.extensions.ncap.evaluation import NcapRequest, requested_tests, scenario_of
+
     every = [(source, *requested_tests(source, arguments.speeds)) for source in sources]
     source, matrix, cells = every[0]
     scenario = scenario_of(source, cells[0], matrix)
@@ -124,11 +154,12 @@ def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapReq
     return NcapRequest(plan, period, arguments.speeds, arguments.margin_limit)
 
 
-def _is_evaluated(grid: Grid) -> bool:
-    return any(cell.touched is not None for cell in grid.cells)
-
-
 def _found(request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
+    from skd_sim.start import installing
+
+    from skd_evaluator.extensions.ncap.result import Ncap, points_of, with_calculator
+    from skd_evaluator.version import version
+
     plan, counts = request.plan, with_calculator()
     car = f"{plan.controller}, C = {plan.multiplier:g}" if plan.car.has_multiplier else plan.controller
     return Ncap(
