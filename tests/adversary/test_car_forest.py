@@ -28,9 +28,9 @@ from skd_adversary.crossing.cars import (
     LearnedCar,
     unknown_car,
 )
+from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import objective_named
-from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.controllers.basic import BasicController
 from skd_sim.errors import UsageError

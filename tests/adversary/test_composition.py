@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_adversary.crossing.cars import unknown_car
+from skd_adversary.crossing.interfaces import ADVERSARY_X, ROW, STATE_DIM, ObjectiveModel, move, template, velocity
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import objective_named
-from skd_adversary.crossing.parts import ADVERSARY_X, ROW, STATE_DIM, ObjectiveModel, move, template, velocity
 from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, STAY
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.planner import Planner, PlannerOptions

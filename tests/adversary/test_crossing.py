@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_adversary.crossing.cars import BASIC_KERNELS, CarModel, known_basic_car, unknown_car
+from skd_adversary.crossing.interfaces import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.crossing.model import compose, transition_parts
 from skd_adversary.crossing.objectives import PAPER
-from skd_adversary.crossing.parts import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.crossing.path import polyline_distance, polyline_segments
 from skd_adversary.crossing.road_users import EAST, PEDESTRIAN, action_velocity, road_user_named
 from skd_adversary.crossing.roads import CURVED, STRAIGHT

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from recorded_cars import a_car
 from skd_adversary.crossing.cars import FITTED_STATE_DIM, WAITING_REWARD, LearnedCar, known_basic_car, unknown_car
-from skd_adversary.crossing.deviation import DEVIATION
+from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM
+from skd_adversary.crossing.kamikaze import DEVIATION
 from skd_adversary.crossing.model import compose
-from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, EAST, STAY
 from skd_adversary.pomdp.model import Pomdp
 from skd_evaluator.assessment.run.episodes import run_episode

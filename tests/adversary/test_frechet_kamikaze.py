@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from similaritymeasures import frechet_dist
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
+from skd_adversary.crossing.interfaces import CAR_S
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
-from skd_adversary.crossing.parts import CAR_S
 from skd_adversary.crossing.path import first_row, next_row
 from skd_adversary.crossing.road_users import ACTION_COUNT
 from skd_adversary.pomdp.model import Pomdp

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from skd_adversary.adversary import make_adversary
-from skd_adversary.crossing.parts import CAR_S, CAR_SPEED
+from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode

@@ -1,4 +1,8 @@
-"""The adversary: decides, tick by tick, how it moves."""
+"""The adversary: decides, tick by tick, how it moves.
+
+It senses the car, updates its belief (`pomdp.belief`) and searches (`pomdp.planner`). What a kamikaze wants, and its
+default policy, are in `crossing.kamikaze`; `crossing.model` puts road, road user, car and sensor together with that.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +22,9 @@ from skd_adversary.crossing.cars import (
     known_basic_car,
     unknown_car,
 )
+from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, CarPrediction
 from skd_adversary.crossing.model import compose, road_user_parts
 from skd_adversary.crossing.objectives import SAFE, objective_named
-from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, CarPrediction
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.pomdp.belief import ParticleBelief

@@ -29,7 +29,7 @@ from skd_sim.world.state import draw_relative, next_speed, travelled
 
 from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FittedCar
 from skd_adversary.car_models.forest import features_of, leaf_of
-from skd_adversary.crossing.parts import (
+from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
     ADVERSARY_Y,
     CAR_S,

@@ -1,6 +1,6 @@
 """The adversary's POMDP, composed: objective × prediction of the car × sensor × road user, on a road.
 
-`parts` says what a state is and what each part brings; `compose` compiles their templates with one another, and puts
+`interfaces` says what a state is and what each part brings; `compose` compiles their templates with one another, and puts
 their parameters together.
 """
 
@@ -17,9 +17,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import bound
 from skd_sim.scenario.scenario import Scenario
 
-from skd_adversary.crossing.deviation import DEVIATION
-from skd_adversary.crossing.objectives import FRECHET, PAPER, SAFE
-from skd_adversary.crossing.parts import (
+from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
     ADVERSARY_Y,
     CAR_S,
@@ -45,6 +43,8 @@ from skd_adversary.crossing.parts import (
     start_road_user,
     template,
 )
+from skd_adversary.crossing.kamikaze import DEVIATION
+from skd_adversary.crossing.objectives import FRECHET, PAPER, SAFE
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import PEDESTRIAN
 from skd_adversary.crossing.roads import CURVED, STRAIGHT

@@ -31,7 +31,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.options.adversary import OBJECTIVES
 from skd_sim.world.contact import runs_into
 
-from skd_adversary.crossing.parts import (
+from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
     ADVERSARY_Y,
     CAR_S,

@@ -22,7 +22,7 @@ from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
 
-from skd_adversary.crossing.parts import USER_ROW, Pair, RoadUserKernels, RoadUserModel, template
+from skd_adversary.crossing.interfaces import USER_ROW, Pair, RoadUserKernels, RoadUserModel, template
 
 # Actions on foot, in the order of the paper
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)

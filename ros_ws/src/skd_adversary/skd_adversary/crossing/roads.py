@@ -15,7 +15,7 @@ from skd_sim.scenario.road import HEADING_NORTH, road_pose, road_position, strai
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame
 
-from skd_adversary.crossing.parts import Pair, RoadKernels, template, touch
+from skd_adversary.crossing.interfaces import Pair, RoadKernels, template, touch
 
 _GRAZE: Final = 1e-9  # m
 

@@ -17,7 +17,7 @@ from skd_sim.scenario.road import road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance
 
-from skd_adversary.crossing.parts import (
+from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
     ADVERSARY_Y,
     CAR_S,

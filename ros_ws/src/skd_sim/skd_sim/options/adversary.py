@@ -94,7 +94,7 @@ OBJECTIVES: Final = Registry(
     "skd.objectives",
     {
         "paper": "skd_adversary.crossing.objectives:PAPER",
-        "deviation": "skd_adversary.crossing.deviation:DEVIATION",
+        "deviation": "skd_adversary.crossing.kamikaze:DEVIATION",
         "frechet": "skd_adversary.crossing.objectives:FRECHET",
     },
 )

@@ -1,11 +1,13 @@
-"""What the adversary's model is put together of: kinds of part, and templates, by which parts call each other.
+"""What the parts of the adversary's model call each other by: the state, kinds of part, and their interfaces.
 
 State (paper, "Generating Kamikaze Trajectories"): road user × predicted car × parameters of the car's policy, behind
 them what a kind of car, a kind of road user and the objective have of their own. The car's place is its path coordinate
 s along the road's centre line (`skd_sim.scenario.road`): y on the straight lane.
 
-A template is a kernel that calls kernels of other parts, its interfaces, by name. They are declared here and described
-by the class of their part; `bound` compiles a template with what stands for them. Velocities are (East, North) in m/s,
+A part (road, road user, car, sensor, objective) is a set of small functions. Those that need functions of another part
+call them by the names below, its interfaces: `move` calls `advance_car`, whatever the kind of car. Such a function is a
+`template`. `model.compose` chooses the parts, and compiles their templates with each other's functions in place of the
+names. What an interface takes and returns is written at the class of its part. Velocities are (East, North) in m/s,
 places in m; `parameters` are those of the composed model.
 """
 

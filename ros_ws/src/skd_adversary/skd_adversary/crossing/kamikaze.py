@@ -1,4 +1,4 @@
-"""The kamikaze POMDP of the deviation: collide, at the least deviation from where φ is at the time.
+"""What a kamikaze wants and plans by: collide, at the least deviation from where φ is at the time.
 
 Until φ's end it moves on, and to wait is to deviate; from then on waiting would be free, so each further step costs
 what the predicted car says (`waiting_reward`): a car that stops by a law will not come any more, one that creeps will.
@@ -27,7 +27,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 
-from skd_adversary.crossing.parts import (
+from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
     ADVERSARY_Y,
     AS_PHI,
