@@ -21,6 +21,7 @@ from skd_adversary.car_models.car_model_file import (
     write_car_model,
 )
 from skd_adversary.crossing.cars import DECELERATION, DELAY, LearnedCar, known_basic_car
+from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import PAPER
 from skd_adversary.crossing.road_users import ACTION_COUNT, STAY
@@ -44,10 +45,10 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
     rng = np.random.default_rng(3)
     for seed in range(300):
         state = np.zeros(fitted.state_dim)
-        state[: interfaces.STATE_DIM] = (*rng.uniform([-2, -1, -15, 0], [2, 1, 0, 9]), 9.0)
+        state[:STATE_DIM] = (*rng.uniform([-2, -1, -15, 0], [2, 1, 0, 9]), 9.0)
         known = np.zeros(fitted.state_dim)
         fitted.initial(fitted.parameters, known, np.random.default_rng(0))
-        state[interfaces.STATE_DIM :] = known[interfaces.STATE_DIM :]
+        state[STATE_DIM:] = known[STATE_DIM:]
         action = int(rng.integers(ACTION_COUNT))
         one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
         expected = basic.step(
@@ -63,12 +64,12 @@ def test_delayed_car_brakes_later():
     state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, rng)
     assert state[DELAY] == 2.0
-    state[interfaces.CAR_S] = -SCENARIO.car.front - 8.5  # within the trigger from now on
+    state[CAR_S] = -SCENARIO.car.front - 8.5  # within the trigger from now on
     speeds = []
     for _ in range(4):
         fitted.step(fitted.parameters, state, STAY, after, rng)
         state, after = after, state
-        speeds.append(float(state[interfaces.CAR_SPEED]))
+        speeds.append(float(state[CAR_SPEED]))
     assert np.diff([25 / 3, *speeds]) == pytest.approx([0.0, 0.0, -1.05, -1.05])
 
 
@@ -78,9 +79,9 @@ def test_a_car_speeds_up_towards_its_speed_but_no_faster_than_its_limit():
     state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
     for speed, expected in ((2.0, 1.5), (4.0, 1.5), (6.0, 1.0), (8.0, 0.0), (9.0, -0.5)):
         fitted.initial(fitted.parameters, state, np.random.default_rng(0))
-        state[interfaces.CAR_SPEED] = speed
+        state[CAR_SPEED] = speed
         fitted.step(fitted.parameters, state, STAY, after, np.random.default_rng(0))
-        assert (after[interfaces.CAR_SPEED] - speed) / 0.3 == pytest.approx(expected)
+        assert (after[CAR_SPEED] - speed) / 0.3 == pytest.approx(expected)
 
 
 def test_what_is_uncertain_is_drawn_from_its_prior():
@@ -88,7 +89,7 @@ def test_what_is_uncertain_is_drawn_from_its_prior():
         a_car(trigger=ParameterPrior("uniform", 8.0, 10.0), deceleration=ParameterPrior("normal", 4.0, 0.5))
     )
     belief = ParticleBelief(fitted, 4000, np.random.default_rng(5))
-    triggers, decelerations = belief.particles[:, interfaces.TRIGGER], belief.particles[:, DECELERATION]
+    triggers, decelerations = belief.particles[:, TRIGGER], belief.particles[:, DECELERATION]
     assert 8.0 <= triggers.min() < 8.05
     assert 9.95 < triggers.max() <= 10.0
     assert triggers.mean() == pytest.approx(9.0, abs=4 * (2 / math.sqrt(12)) / math.sqrt(4000))

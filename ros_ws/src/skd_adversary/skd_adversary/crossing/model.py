@@ -1,7 +1,7 @@
 """The adversary's POMDP, composed: objective × prediction of the car × sensor × road user, on a road.
 
-`interfaces` says what a state is and what each part brings; `compose` compiles their templates with one another, and puts
-their parameters together.
+`interfaces` says what a state is and what each part brings; `compose` compiles their templates with one another, and
+puts their parameters together.
 """
 
 from __future__ import annotations

@@ -104,11 +104,10 @@ class Campaign:
         self._runs: dict[str, StoringRunner] = {}
         self._unsaved: list[Cell] = []  # cells that are done, of which campaign.json does not know yet
         self._saved = self._cost = 0.0
-        self._store: EpisodeStore | None = None
-        if todo:
-            self._store = EpisodeStore(folder.path / FILE_NAME)
+        self._store = EpisodeStore(folder.path / FILE_NAME) if todo else None
+        if self._store is not None:
             self._store.keep_only([cell.key for cell in todo])
-        else:  # who was killed after the last cell has left it
+        else:  # a campaign that was killed after its last cell has left it
             remove_files(folder.path / FILE_NAME)
         self._save()
 
@@ -195,16 +194,9 @@ class Campaign:
                 self._save(at_once=False)
 
     def _assess(self, cell: Cell, runner: Workers, tell: Callable[[Cell], Progress]) -> None:
-        begin = time.perf_counter()
+        begin, how = time.perf_counter(), {"progress": tell(cell), "say": partial(_say, cell), **cell.requested}
         fresh = partial(fresh_process, cell.answer_limit)
-        context = Context(
-            self._storing(cell, runner),
-            runner,
-            progress=tell(cell),
-            fresh=fresh,
-            say=partial(_say, cell),
-            **cell.requested,
-        )
+        context = Context(self._storing(cell, runner), runner, fresh=fresh, **how)
         assessment = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
         self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), None)
 
@@ -212,19 +204,11 @@ class Campaign:
         assert cell.graph is not None
         begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
-            setting = GraphSetting(
-                options=cell.graph,
-                car=cell.plan.car,
-                log_folder=logs,
-                simulator=cell.plan.simulator,
-            )
+            plan, how = cell.plan, {"progress": tell(cell), "say": partial(_say, cell), **cell.requested}
+            setting = GraphSetting(options=cell.graph, car=plan.car, log_folder=logs, simulator=plan.simulator)
+            begun = Assessment(plan, provenance=self._provenance(cell))
             try:
-                assessment = assess_through_graph(
-                    Assessment(cell.plan, provenance=self._provenance(cell)),
-                    setting,
-                    {**cell.requested, "say": partial(_say, cell), "progress": tell(cell)},
-                    partial(self._storing, cell),
-                )
+                assessment = assess_through_graph(begun, setting, how, partial(self._storing, cell))
             except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
                 raise AssessmentError(f"its graph cannot run: {error}") from error
             self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), logs)

@@ -38,14 +38,7 @@ class CampaignFolder:
         resumed: whether there was something to go on with.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        cells: Sequence[Cell],
-        *,
-        resume: bool = False,
-        overwrite: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, cells: Sequence[Cell], *, resume: bool = False, overwrite: bool = False) -> None:
         """Take the folder, and begin a campaign in it or go on with the one that is there.
 
         Args:
@@ -59,8 +52,7 @@ class CampaignFolder:
                 then is not what is requested now.
             OSError: it cannot be written.
         """
-        self.path = path
-        self._option = f"--out {path}"
+        self.path, self._option = path, f"--out {path}"
         self._descriptor: int | None = None
         if path.exists() and not path.is_dir():
             raise UsageError(f"{self._option}: is a file; give a folder")
@@ -87,16 +79,14 @@ class CampaignFolder:
                 left.unlink(missing_ok=True)
         known = self.path / CELLS
         requested = {"cells": [{"name": cell.name, **cell.identity} for cell in cells]}
-        before = _read_json(known) if known.exists() else {"cells": []}
-        if not known.exists():
-            replace_file(known, _json(requested))
-            return False
-        if resume:
-            self._refuse_changed(requested, before)
-            return True
-        if not overwrite:
-            raise UsageError(f"{self._option}: holds a campaign; add --resume to go on with it, --overwrite to replace")
-        self._clear()
+        if known.exists():
+            before = _read_json(known)
+            if resume:
+                self._refuse_changed(requested, before)
+                return True
+            if not overwrite:
+                raise UsageError(f"{self._option}: holds a campaign; --resume goes on with it, --overwrite replaces it")
+            self._clear([str(cell["name"]) for cell in before["cells"]])
         replace_file(known, _json(requested))
         return False
 
@@ -133,9 +123,8 @@ class CampaignFolder:
                     what = f"has changed from {short(first)} to {short(second)}"
                     raise UsageError(f"{self._option}: {key} of cell {name} {what} {advice}")
 
-    def _clear(self) -> None:
-        """Remove the campaign that is there; the file that says that there is one goes last."""
-        cells = [str(cell["name"]) for cell in _read_json(self.path / CELLS)["cells"]]
+    def _clear(self, cells: Sequence[str]) -> None:
+        """Remove the campaign that is there, by its cells; the file that says that there is one goes last."""
         for cell in cells:
             self._remove_cell(self.path / cell)
             shutil.rmtree(self.path / f"{cell}.logs", ignore_errors=True)
@@ -235,10 +224,7 @@ def _json(content: Mapping[str, Any]) -> str:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        data = read_json(path)
-    except UsageError as error:
-        raise UsageError(f"{error}; give another --out") from error
+    data = read_json(path)
     cells = data.get("cells") if isinstance(data, dict) else None
     if not isinstance(cells, list) or not all(isinstance(one, dict) and "name" in one for one in cells):
         raise UsageError(f"{path}: is not of a campaign; give another --out")

@@ -6,14 +6,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from scipy import stats
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import one_line, read_json
-from skd_sim.inputs.model import YesNo, limits, read_model
+from skd_sim.inputs.files import read_json
 
 from skd_evaluator.extensions.fusion.estimate import (
     LEAST_OF_EACH,
@@ -353,17 +352,6 @@ class PlanningBasis:
     warnings: Sequence[str]
 
 
-@dataclass(frozen=True)
-class _FusedBefore:
-    """What planning reads of a figure in fusion.json."""
-
-    deviation: Annotated[float, limits(0.0, 100.0, "in its unit")]
-    simulated_phi: Annotated[int, limits(LEAST_PAIRS, 1e9, "φ")]
-    trials: Annotated[int, limits(LEAST_PAIRS, 1e9, "trials")]
-    predicts: YesNo
-    correlation: Annotated[float, limits(-1.0, 1.0, "no unit")] = 0.0
-
-
 def planning_basis(folder: Path, figure: TrialFigure) -> PlanningBasis:
     """Return by what trials are planned: the fusion in a folder, else the assessment in it, or a table.
 
@@ -374,15 +362,13 @@ def planning_basis(folder: Path, figure: TrialFigure) -> PlanningBasis:
     if path.exists():
         content: Any = read_json(path)
         try:
-            entry = {name: content["figures"][key][name] for name in _FusedBefore.__annotations__}
-            warnings = [one_line(str(line)) for line in content["warnings"]]
-        except (KeyError, TypeError) as error:
+            entry, warnings = content["figures"][key], list(map(str, content["warnings"]))
+            deviation, simulated_phi, trials = (entry[one] for one in ("deviation", "simulated_phi", "trials"))
+            correlation = entry["correlation"] if entry["predicts"] else None
+            source = f"by {counted(int(trials), 'physical trial')} in {folder}"
+            basis = PlanningBasis(float(deviation), correlation, int(simulated_phi), source, warnings)
+        except (KeyError, TypeError, ValueError) as error:
             raise UsageError(f"{path}: has no {key} of skd fuse") from error
-        entry = {name: one for name, one in entry.items() if one is not None}
-        found = read_model(_FusedBefore, entry, str(path), f"figures.{key}")
-        correlation = found.correlation if found.predicts else None
-        source = f"by {counted(found.trials, 'physical trial')} in {folder}"
-        basis = PlanningBasis(found.deviation, correlation, found.simulated_phi, source, warnings)
     else:
         simulated = read_simulated(folder)
         every = ([one.values[key] for one in trials if key in one.values] for trials in simulated.trials.values())
