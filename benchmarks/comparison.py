@@ -64,7 +64,7 @@ def campaign(multiplier: float, seed: int, asked: Plan, figure: str, runner: InP
 def trials(group: KamikazeSet, plan: Plan) -> list[float]:
     """Return what each trial on φ counts as, in the order of their numbers, m."""
     found = []
-    for log in sorted((*group.logs, *group.misses), key=lambda log: log.episode.episode_id):
+    for log in group.finished:
         needed = plan.scenario.eta_max
         if log.hit:
             ticks = log.impact_time / plan.scenario.time_step

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.stages.sequential import LOOKS
 from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, clustered_mean, clustered_rate, variance_components
@@ -36,6 +35,7 @@ from skd_evaluator.metrics.statistics import (
     wilson_interval,
 )
 from skd_sim.arrays import FloatArray
+from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from tally import Tally
 
 PRIORS = {"deviation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}
@@ -54,10 +54,13 @@ def drawn(groups: Sequence[FloatArray], chosen: FloatArray, count: int, rng: np.
 
 def warped_distances(result: StoredResult) -> list[FloatArray]:
     """Return the time-warped distance of each pair of the kamikazes that rank the car, by φ, m."""
-    episodes = read_episodes(result.folder)
+    episodes, objective = result.episodes, first_of(RANKING_OBJECTIVES, result.figures["objectives"])
+    of_it = episodes.hit & (episodes.objective == objective)
     found = []
-    for phi, tried in zip(episodes.safe, episodes.trials(result.objective), strict=True):
-        psis = [episodes.until_contact(int(number)) for number in tried[episodes.hit[tried]]]
+    for index, phi in enumerate(episodes.safe):
+        psis = [
+            episodes.until_contact(int(number)) for number in np.flatnonzero(of_it & (episodes.safe_index == index))
+        ]
         found.append(np.array([warped_distance(phi[: len(psi)], psi) for psi in psis]))
     return found
 

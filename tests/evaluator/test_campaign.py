@@ -68,14 +68,14 @@ def test_episodes_are_drawn_until_enough_have_collided():
     runner = StubRunner(lambda episode: Outcome.COLLISION if trial(episode) % 3 else Outcome.MISSED)
     (found,) = kamikaze_sets(SMALL, [straight()], runner)
     assert [trial(log.episode) for log in found.logs] == [1, 2, 4, 5, 7]
-    assert (found.trials, found.aborted) == (8, 0)
+    assert (len(found.episodes), found.aborted) == (8, 0)
     assert [len(batch) for batch in runner.batches] == [5, 2, 1]
 
 
 def test_drawing_ends_at_the_cap():
     runner = StubRunner(lambda _episode: Outcome.TIMEOUT)
     sets = kamikaze_sets(SMALL, [straight(), straight(1.0)], runner)
-    assert [(len(found.logs), found.trials) for found in sets] == [(0, TRIALS_PER_REQUESTED * 5)] * 2
+    assert [(len(found.logs), len(found.episodes)) for found in sets] == [(0, TRIALS_PER_REQUESTED * 5)] * 2
 
 
 def test_no_kamikaze_found_is_none_and_not_zero():
@@ -121,8 +121,8 @@ def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
     write_assessment(tmp_path, found)
     (subject,) = read_subjects([tmp_path])
     (kamikazes,) = found.results
-    tried = [group.trials - group.aborted for group in kamikazes.kamikaze]
-    assert [len(group) for group in subject.episodes.deviations_of(str(SMALL.objective))] == tried
+    tried = [len(group.finished) for group in kamikazes.kamikaze]
+    assert list(map(len, subject.assessment.for_deviation.trial_deviations)) == tried
     result, figures = read_result(tmp_path), found.as_dict()
     assert [len(group) for group in result.groups["deviation"]] == tried
     for name in ("deviation", "contact_rate", "kamikaze_success_rate"):

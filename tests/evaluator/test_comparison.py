@@ -37,7 +37,7 @@ def result(
         del groups["margin"]
         changes = {"margin_converged": None, "margin_how": None, "margin_note": "no car to ask", **changes}
     curve = vulnerability_curve(list(planned), 5.0)
-    return StoredResult(Path(name), {**FIGURES, **changes}, tuple(phi), curve, "deviation", groups)
+    return StoredResult(Path(name), {**FIGURES, **changes}, tuple(phi), curve, groups)
 
 
 def values(seed: int, phi: int = 8, shift: float = 0.0) -> np.ndarray:

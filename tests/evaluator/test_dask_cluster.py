@@ -70,7 +70,7 @@ def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster)
     figures, *others = [{**one.results[0].figures(), "probability_bound": None} for one in found]
     assert all(other == figures for other in others)
     episodes, *others = [
-        [bits(log) for group in one.results[0].kamikaze for log in group.in_order] + [*map(bits, one.nominal_runs)]
+        [bits(log) for group in one.results[0].kamikaze for log in group.episodes] + [*map(bits, one.nominal_runs)]
         for one in found
     ]
     assert all(other == episodes for other in others)

@@ -101,7 +101,8 @@ def test_what_is_no_pair_is_refused(phi: object, psi: object, duration: float, s
 
 
 def of(distances: list[list[float]], failed: list[int], eta_max: float = 5.0) -> tuple[GroupedMean, GroupedMean]:
-    return mean_deviation(zip(map(np.array, distances), failed, strict=True), eta_max=eta_max)
+    trials = [np.array([*hits, *[np.inf] * missed]) for hits, missed in zip(distances, failed, strict=True)]
+    return mean_deviation(trials, eta_max=eta_max)
 
 
 def test_failed_trials_and_far_ones_count_as_eta_max() -> None:

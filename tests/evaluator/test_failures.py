@@ -132,7 +132,7 @@ def test_failures_are_of_the_least_scale_that_has_enough(hits, scale, found):
     here = failures_of(scales, walkers_of(found))
     assert (None if here is None else here.scale) == scale
     if here is not None:
-        assert here.looked_at == here.hits == sum(count for _, count, _ in here.kinds)
+        assert here.looked_at == here.hits == sum(one.hits for one in here.kinds)
 
 
 def test_they_are_the_same_whoever_runs_the_car(rated, found, monkeypatch):
@@ -144,7 +144,7 @@ def test_they_are_the_same_whoever_runs_the_car(rated, found, monkeypatch):
     assert mine is not None
     assert other is not None
     assert mine.failures is not None
-    assert json.dumps(mine.failures) == json.dumps(other.failures)
+    assert json.dumps(mine.failures.as_dict()) == json.dumps(other.failures.as_dict())
     assert mine.failing.keys() == other.failing.keys()
     for row, log in mine.failing.items():
         np.testing.assert_array_equal(log.adversary, other.failing[row].adversary)

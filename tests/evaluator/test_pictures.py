@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult, objective_result
+from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.metrics.deviation import Hit
@@ -42,13 +42,16 @@ def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> Ob
     sets = []
     for k, (phi, count) in enumerate(zip(safe, counts, strict=True)):
         logs = []
-        for i in range(count):
+        for i in range(2 * count + 1):
             episode = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, 1000 * k + i, safe_trajectory=phi)
-            walked = phi.positions[:6] + np.cumsum(rng.normal(0.0, 0.2, (6, 2)), axis=0)
-            car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full((6, 2), (np.pi / 2, 8.0))])
-            logs.append(EpisodeLog(episode, Outcome.COLLISION, walked, car, 1.4, 5.0))
-        sets.append(KamikazeSet(phi, tuple(logs), 2 * count + 1))
-    return objective_result(Plan(CROSSING, safe_count=len(counts)), sets)
+            if i < count:
+                walked = phi.positions[:6] + np.cumsum(rng.normal(0.0, 0.2, (6, 2)), axis=0)
+                car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full((6, 2), (np.pi / 2, 8.0))])
+                logs.append(EpisodeLog(episode, Outcome.COLLISION, walked, car, 1.4, 5.0))
+            else:
+                logs.append(EpisodeLog(episode, Outcome.TIMEOUT, phi.positions[:6], np.zeros((6, 4))))
+        sets.append(KamikazeSet(phi, tuple(logs)))
+    return ObjectiveResult(Plan(CROSSING, safe_count=len(counts)), tuple(sets))
 
 
 def whole(what: ObjectiveResult, **more: Any) -> Assessment:
@@ -202,9 +205,9 @@ def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tm
     what = assessment([3])
     group = what.kamikaze[0]
     slow = dataclasses.replace(group.logs[1], impact_speed=0.1)
-    group = dataclasses.replace(group, logs=(group.logs[0], slow, group.logs[2]))
+    group = dataclasses.replace(group, episodes=(group.logs[0], slow, *group.episodes[2:]))
     plan = dataclasses.replace(what.plan, objective="deviation")
-    again = objective_result(plan, [group])
+    again = ObjectiveResult(plan, (group,))
     draw(tmp_path / "picture.png", again)
     (panel,) = figures[0].axes
     assert len(lines(panel, palette.KAMIKAZE.lower())) == 2
@@ -217,13 +220,14 @@ def with_the_first_aborted(what):
     """An assessment, but all four trials on its first φ were aborted."""
     phi = what.kamikaze[0].safe_trajectory
     silent = [aborted(what.plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
-    lost = dataclasses.replace(what.kamikaze[0], trials=4, lost=tuple(silent))
+    lost = dataclasses.replace(what.kamikaze[0], episodes=tuple(silent))
     return dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1]))
 
 
 def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
-    what = assessment([0, 2])
-    draw(tmp_path / "picture.png", with_the_first_aborted(what))
+    fine = assessment([0, 2])
+    what = with_the_first_aborted(fine)
+    draw(tmp_path / "picture.png", what)
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
     panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert "4 of 4 aborted" in panels[0].get_title()
@@ -231,5 +235,5 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     skd = what.skd.distances.mean
     assert panels[1].get_title().endswith(f"3 failed\nplanned deviation {one:.2f} m, SKD {skd:.2f} m")
     assert f"planned deviation {what.deviation.mean:.2f} m, SKD {skd:.2f} m" in figures[0].get_suptitle()
-    draw(tmp_path / "fine.png", what)
+    draw(tmp_path / "fine.png", fine)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)

@@ -134,7 +134,7 @@ def of_a_car(
         **dict.fromkeys(("nominal_collision_rate", "contact_rate", "deviation", "skd", "skd_prefix"), planned),
     }
     safe = tuple(np.full((3, 2), float(index)) for index in range(phi))
-    return StoredResult(Path(name), figures, safe, None, "deviation", groups)
+    return StoredResult(Path(name), figures, safe, None, groups)
 
 
 @pytest.mark.parametrize(

@@ -168,7 +168,7 @@ def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
     with np.load(one.folder / "episodes.npz") as stored:
         margins = np.where(np.isfinite(stored["margin"]), stored["margin"], stored["eta_max"])
     planned, main = (layer["data"]["values"] for layer in lines)
-    for values, trials in ((main, margins), (planned, np.concatenate(one.episodes.deviations_of("deviation")))):
+    for values, trials in ((main, margins), (planned, np.concatenate(one.assessment.for_deviation.trial_deviations))):
         for at in values[:-1]:
             low, high = (100.0 * np.mean(trials <= at["eta"] + error) for error in (-1e-4, 1e-4))
             assert low - 0.01 <= at["rate"] <= high + 0.01

@@ -22,7 +22,7 @@ from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_epi
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.objective_result import kamikaze_set
+from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.plan import Plan, runs_along
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -187,8 +187,8 @@ def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
             return aborted(log.episode, reason)
         return replace(log, outcome=Outcome.ABORTED, reason=reason, impact_time=math.nan, impact_speed=math.nan)
 
-    logs = sets[0].in_order
-    sets[0] = kamikaze_set(safe[0], [lost(logs[0]), *logs[1:]])
+    logs = sets[0].episodes
+    sets[0] = KamikazeSet(safe[0], (lost(logs[0]), *logs[1:]))
     rating = assessment_of(plan, safe, {plan.objective: sets}, [lost(replays[0]), *replays[1:]])
     write_assessment(tmp_path, rating)
     write_manifests(tmp_path)

@@ -18,7 +18,7 @@ from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.objective_result import kamikaze_set
+from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.car_model import own_trials
@@ -50,7 +50,7 @@ def messages(by_objective: dict[Objective, list[EpisodeLog]]) -> list[list[Sent]
 @pytest.fixture(scope="module")
 def live(by_objective: dict[Objective, list[EpisodeLog]]) -> Assessment:
     sets = {
-        objective: [kamikaze_set(phi, [log for log in logs if _is_of(log, index)]) for index, phi in enumerate(SAFE)]
+        objective: [KamikazeSet(phi, tuple(log for log in logs if _is_of(log, k))) for k, phi in enumerate(SAFE)]
         for objective, logs in by_objective.items()
     }
     replays = [log for logs in by_objective.values() for log in logs if log.episode.mode == Mode.REPLAY]

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.episode_figures import Surrogates, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, entries, figures_html
-from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, ObjectiveResult, objective_result
+from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
@@ -109,7 +108,7 @@ class Assessment:
     @property
     def episodes(self) -> int:
         """Episodes run, kamikaze and along φ, aborted ones included."""
-        return sum(group.trials for one in self.results for group in one.kamikaze) + len(self.nominal_runs)
+        return sum(len(group.episodes) for one in self.results for group in one.kamikaze) + len(self.nominal_runs)
 
     @property
     def reasons(self) -> list[str]:
@@ -120,15 +119,13 @@ class Assessment:
     @property
     def clipped(self) -> list[int]:
         """Per episode in which the car was commanded more than it can do, how often."""
-        of_runs = [log.clipped for log in self.nominal_runs if log.clipped]
-        of_kamikazes = [count for one in self.results for group in one.kamikaze for count in group.clipped]
-        return [*of_kamikazes, *of_runs]
+        of_kamikazes = [log for one in self.results for group in one.kamikaze for log in group.episodes]
+        return [log.clipped for log in (*of_kamikazes, *self.nominal_runs) if log.clipped]
 
     @property
     def kamikaze_logs(self) -> list[EpisodeLog]:
         """Kamikaze episodes that ran to their end."""
-        groups = [group for one in self.results for group in one.kamikaze]
-        return [log for group in groups for log in (*group.logs, *group.misses)]
+        return [log for one in self.results for group in one.kamikaze for log in group.finished]
 
     @property
     def logs(self) -> list[EpisodeLog]:
@@ -141,6 +138,10 @@ class Assessment:
         Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
         """
         return self._per_phi(lambda log: log.outcome == Outcome.COLLISION)
+
+    def moving_hits(self) -> list[tuple[int, int]]:
+        """Return for each safe trajectory how many runs along it the moving car hit, and how many there were."""
+        return self._per_phi(lambda log: log.hit)
 
     def _per_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> list[tuple[int, int]]:
         """Return for each safe trajectory how many runs along it count, and how many there were; see `hits`."""
@@ -163,20 +164,14 @@ class Assessment:
         """Return how many times the margin the kamikazes that rank the car needed, in the same trials."""
         if self.margins is None:
             return None, None
-        assessment = self.for_deviation
-        planned = []
-        for mine, least in zip(assessment.trial_deviations, self.margins.per_phi, strict=True):
-            same = np.full(least.size, np.nan)
-            count = min(mine.size, least.size)
-            same[:count] = mine[:count]
-            planned.append(same)
-        return optimality_gap(planned, self.margins.per_phi, assessment.confidence)
+        margins, result = self.margins.per_phi, self.for_deviation
+        return optimality_gap(result.numbered_deviations(list(map(len, margins))), margins, result.confidence)
 
     @cached_property
     def surrogates(self) -> Surrogates:
         """The surrogate safety measures of all episodes, in the order of episodes.npz."""
         kamikazes = [
-            (log, str(one.plan.objective)) for one in self.results for group in one.kamikaze for log in group.in_order
+            (log, str(one.plan.objective)) for one in self.results for group in one.kamikaze for log in group.episodes
         ]
         return surrogates_of(self.plan.scenario, [*kamikazes, *((log, "") for log in self.nominal_runs)])
 
@@ -206,7 +201,7 @@ class Assessment:
     @property
     def clustered_nominal_rate(self) -> Clustered | None:
         """The nominal collision rate with what its error over φ is."""
-        return clustered_rate(self._per_phi(lambda log: log.hit), self.confidence)
+        return clustered_rate(self.moving_hits(), self.confidence)
 
     @property
     def nominal_collision_rate(self) -> float | None:
@@ -296,7 +291,7 @@ def objective_results(
         confidence: confidence of the intervals over φ.
     """
     return tuple(
-        objective_result(replace(plan, objective=objective), kamikaze[objective], confidence)
+        ObjectiveResult(replace(plan, objective=objective), tuple(kamikaze[objective]), confidence)
         for objective in in_order(tuple(kamikaze))
     )
 

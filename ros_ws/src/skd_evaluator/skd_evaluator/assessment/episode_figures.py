@@ -14,6 +14,7 @@ from typing import Any, Final, TextIO
 
 import numpy as np
 from skd_sim.arrays import FloatArray
+from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import RoadUserState
@@ -21,6 +22,7 @@ from skd_sim.world.state import RoadUserState
 from skd_evaluator.assessment.plan import split_episode_id
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact
+from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, clearances, surrogate_measures
 from skd_evaluator.metrics.surrogate_scenes import Interaction, course_of
 
@@ -207,6 +209,79 @@ def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]
     )
     collided = np.array([collision_partner(log) == ADVERSARY for log in logs], bool)
     return Surrogates(tuple(logs), tuple(name for _, name in kept), surrogate_measures(scenario, courses, collided))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticTest(Entry):
+    """One static test: no noise, and a target that goes the protocol's way whatever the car does.
+
+    Attributes:
+        place: % of the car's width at which the unbraked car meets the target.
+        touched: whether there was a contact.
+        target: whether the target was touched, and no other road user.
+        impact_speed: of the car, m/s; 0 without a contact.
+        speed_ahead: of the target, along the car's heading, m/s.
+        fastest: greatest speed of the car, m/s.
+        braking_ttc: time to collision when the car began to brake, along the lane with both speeds kept, s; None where
+            it did not brake before the target.
+        aborted: why it was aborted; empty: it was not.
+
+    Raises:
+        ValueError: one entry contradicts another.
+    """
+
+    KEYS = "place touched target impact_speed speed_ahead fastest braking_ttc aborted"
+
+    place: float
+    touched: bool = False
+    target: bool = False
+    impact_speed: float = 0.0
+    speed_ahead: float = 0.0
+    fastest: float = 0.0
+    braking_ttc: float | None = None
+    aborted: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what no test can have found."""
+        strange = self.impact_speed < 0.0 or self.impact_speed > self.fastest or (self.touched and bool(self.aborted))
+        if strange or (not self.touched and (self.target or self.impact_speed or self.speed_ahead)):
+            raise ValueError(f"the static test at {self.place:g} % contradicts itself")
+
+    @classmethod
+    def of(cls, place: float, log: EpisodeLog) -> StaticTest:
+        """Return what an episode of `static_episodes` says."""
+        if log.outcome == Outcome.ABORTED:
+            return cls(place=place, aborted=log.reason)
+        touched = log.outcome == Outcome.COLLISION
+        impact = log.impact_speed if touched else 0.0
+        return cls(
+            place=place,
+            touched=touched,
+            target=touched and collision_partner(log) == ADVERSARY,
+            impact_speed=impact,
+            speed_ahead=speed_ahead(log) if touched else 0.0,
+            fastest=max(impact, float(log.car[:, 3].max())),
+            braking_ttc=braking_ttc(log),
+        )
+
+
+_BRAKES = 0.5  # m/s² by which a car slows at least that brakes
+
+
+def braking_ttc(log: EpisodeLog) -> float | None:
+    """Return the time to collision along the lane (s) at the tick from which the car brakes; None where it does not."""
+    scenario = log.episode.scenario
+    slows = np.flatnonzero(np.diff(log.car[:, 3]) < -_BRAKES * scenario.time_step)
+    if not slows.size:
+        return None
+    tick = int(slows[0])
+    line = scenario.road.line
+    (_, front), (_, there), (_, then) = right_and_along(
+        line, np.array([log.car[tick, :2], log.adversary[tick], log.adversary[tick + 1]])
+    ).tolist()
+    gap = there - front - scenario.car.front
+    closing = float(log.car[tick, 3]) - (then - there) / scenario.time_step
+    return gap / closing if gap > 0.0 and closing > 0.0 else None
 
 
 DRIVES_NOT: Final = "a car that does not drive hits no road user, so its figures do not say how it avoids them"

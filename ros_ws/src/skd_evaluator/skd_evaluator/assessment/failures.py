@@ -17,8 +17,8 @@ import functools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import scipy
@@ -29,6 +29,7 @@ from skd_sim.world.episode import Role, generator
 
 from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES, OF_PERSON, OF_TICK, normals_of, smooth, walked
+from skd_evaluator.metrics.entry import Entry, Share
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 
 NEAREST: Final = 3
@@ -53,78 +54,84 @@ _NORMALS: Final = _PERSON + len(_PROCESSES) + 2
 
 
 @dataclass(frozen=True)
-class Failure:
+class Failure(Entry):
     """A crossing in which the car hits.
 
     Attributes:
         row: number of the crude crossing, from 0.
-        phi: number of the φ that is intended.
-        draw: number of the draws of walker and car on it.
+        phi: number of φ, from 0.
+        draw: number of the crossing on it.
         kind: what the walker did, in a few words.
         deviation: of the walker from φ, in standard deviations of people.
+        impact_speed: m/s; nan: not known yet.
     """
+
+    KEYS = "safe_trajectory=phi trial=draw deviation people impact_speed"
 
     row: int
     phi: int
     draw: int
     kind: str
     deviation: float
+    impact_speed: float = math.nan
 
     @property
-    def people(self) -> float:
+    def people(self) -> Share:
         """Share of people who deviate as much or more."""
         return float(scipy.special.gammaincc(0.5 * _NORMALS, 0.5 * self.deviation**2))
 
 
 @dataclass(frozen=True)
-class Failures:
+class FailureKind(Entry):
+    """Failures that look alike.
+
+    Attributes:
+        kind: what the walker did.
+        hits: crossings.
+        share: of the hits.
+        nearest: the most likely of them.
+    """
+
+    KEYS = "kind hits share nearest"
+
+    kind: str
+    hits: int
+    share: Share
+    nearest: tuple[Failure, ...]
+
+
+@dataclass(frozen=True)
+class Failures(Entry):
     """The failures at one scale.
 
     Attributes:
-        scale: by which the normals are multiplied.
-        runs: crude crossings at that scale, aborted ones left out.
-        hits: of these, in which the car hits.
-        looked_at: how many of the hits are classified.
-        kinds: of each kind, the most frequent one first, how many there are, and the nearest of them.
+        scale: s at which they are.
+        runs: crude crossings, aborted ones left out.
+        hits: crude crossings in which the car hits.
+        looked_at: of these, classified: the first of them.
+        kinds: what walkers did, the most frequent first.
     """
+
+    KEYS = "scale runs hits looked_at kinds"
 
     scale: float
     runs: int
     hits: int
     looked_at: int
-    kinds: tuple[tuple[str, int, tuple[Failure, ...]], ...]
+    kinds: tuple[FailureKind, ...]
 
     @property
     def nearest(self) -> list[Failure]:
         """The failures that are kept, kind by kind."""
-        return [one for _, _, found in self.kinds for one in found]
+        return [one for kind in self.kinds for one in kind.nearest]
 
-    def as_dict(self, speeds: Mapping[int, float]) -> dict[str, Any]:
-        """Return its entry of assessment.json; `speeds` has the impact speed (m/s) of each row that is kept."""
-        return {
-            "scale": self.scale,
-            "runs": self.runs,
-            "hits": self.hits,
-            "looked_at": self.looked_at,
-            "kinds": [
-                {
-                    "kind": kind,
-                    "hits": count,
-                    "share": count / self.looked_at,
-                    "nearest": [
-                        {
-                            "safe_trajectory": one.phi,
-                            "trial": one.draw,
-                            "deviation": one.deviation,
-                            "people": one.people,
-                            "impact_speed": speeds[one.row],
-                        }
-                        for one in nearest
-                    ],
-                }
-                for kind, count, nearest in self.kinds
-            ],
-        }
+    def with_speeds(self, speeds: Mapping[int, float]) -> Failures:
+        """Return them with the impact speed (m/s) of each row that is kept."""
+        kinds = [
+            replace(kind, nearest=tuple(replace(one, impact_speed=speeds[one.row]) for one in kind.nearest))
+            for kind in self.kinds
+        ]
+        return replace(self, kinds=tuple(kinds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +217,10 @@ def failures_of(scales: Sequence[ScaleRisk], walkers: Walkers) -> Failures | Non
         risk.runs,
         risk.hits,
         len(found),
-        tuple((kind, count, tuple([one for one in nearest if one.kind == kind][:NEAREST])) for kind, count in ordered),
+        tuple(
+            FailureKind(kind, count, count / len(found), tuple([one for one in nearest if one.kind == kind][:NEAREST]))
+            for kind, count in ordered
+        ),
     )
 
 

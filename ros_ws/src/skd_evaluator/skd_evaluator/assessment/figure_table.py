@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Any
 
@@ -18,11 +18,11 @@ from skd_sim.world.episode import counted_reasons
 
 from skd_evaluator.assessment.episode_figures import closing_speed, command_age, simulator_contacts, standing_contacts
 from skd_evaluator.metrics.clustered import Clustered
+from skd_evaluator.metrics.entry import Schema, or_null, ref
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_entries
 from skd_evaluator.metrics.statistics import Interval, wilson_interval
 from skd_evaluator.version import version
 
-Schema = Mapping[str, Any]
 Value = Callable[[Any], Any]
 CI95, THESE_PHI = "ci95", "ci95_these_phi"
 
@@ -64,16 +64,6 @@ class Kind:
     def scale(self) -> float:
         """By what a value is multiplied to be shown."""
         return 100.0 if self.unit == "%" else 1.0
-
-
-def ref(name: str) -> Schema:
-    """Return a schema that is one of the schema's `$defs`."""
-    return {"$ref": f"#/$defs/{name}"}
-
-
-def or_null(schema: Schema) -> Schema:
-    """Return a schema of what may be null."""
-    return {"anyOf": [{"type": "null"}, schema]}
 
 
 def _typed(*names: str, **rest: Any) -> Kind:
@@ -250,7 +240,7 @@ FIGURES = (
            "candidate trajectories that the search drove in a trial; null: it is exact, or not known", _MARGIN,
            recomputed=False, campaign=3, compare=3),
     Figure("margin_excess", Kind(or_null(ref("margin_excess"))),
-           lambda m: m.search and m.search.excess and asdict(m.search.excess),
+           lambda m: m.search and m.search.excess and m.search.excess.as_dict(),
            "how much too high it may be, estimated from trials that were searched deeper; null: exact, or not known",
            _MARGIN, recomputed=False),
     Figure("margin_sources", _typed("array", "null", items=ref("margin_source")),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from skd_evaluator.assessment.figure_table import OF_OBJECTIVES, Of, entries
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.clustered import Clustered, GroupedMean, clustered_rate
 from skd_evaluator.metrics.deviation import deviation_pairs, mean_deviation
-from skd_evaluator.metrics.measures import Measured, measure_pairs, pair_of
+from skd_evaluator.metrics.measures import Pair, measure_pairs, pair_of
 from skd_evaluator.metrics.skd import Skd, bound_interval, compute_skd
 from skd_evaluator.metrics.statistics import Interval, frechet_probability_bound
 
@@ -26,84 +27,113 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class KamikazeSet:
-    """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
+    """The kamikaze episodes of one safe trajectory φ, in the order of their trials; those that collided are Ψ(φ).
 
     Attributes:
         safe_trajectory: the safe trajectory φ.
-        logs: the episodes that collided.
-        trials: number of episodes.
-        misses: the episodes that ran to their end and did not collide.
-        lost: the episodes that were aborted.
+        episodes: all of them, those that failed or were aborted too.
     """
 
     safe_trajectory: Trajectory
-    logs: tuple[EpisodeLog, ...]
-    trials: int
-    misses: tuple[EpisodeLog, ...] = ()
-    lost: tuple[EpisodeLog, ...] = ()
+    episodes: tuple[EpisodeLog, ...]
 
-    @property
-    def in_order(self) -> list[EpisodeLog]:
-        """Logs of all episodes, in the order of their trials."""
-        return sorted((*self.logs, *self.misses, *self.lost), key=lambda log: log.episode.episode_id)
+    @cached_property
+    def finished(self) -> list[EpisodeLog]:
+        """Episodes that ran to their end."""
+        return [log for log in self.episodes if log.outcome != Outcome.ABORTED]
 
-    @property
-    def reasons(self) -> list[str]:
-        """Why episodes were aborted, one each."""
-        return [log.reason for log in self.lost]
-
-    @property
-    def clipped(self) -> list[int]:
-        """Per episode in which the car was commanded more than it can do, how often."""
-        return [log.clipped for log in self.in_order if log.clipped]
+    @cached_property
+    def logs(self) -> list[EpisodeLog]:
+        """Episodes that collided."""
+        return [log for log in self.finished if log.outcome == Outcome.COLLISION]
 
     @property
     def aborted(self) -> int:
         """Number of episodes that were aborted."""
-        return len(self.lost)
-
-
-def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
-    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their trials."""
-    tried = tuple(logs)
-    return KamikazeSet(
-        safe_trajectory,
-        tuple(log for log in tried if log.outcome == Outcome.COLLISION),
-        len(tried),
-        tuple(log for log in tried if log.outcome not in (Outcome.COLLISION, Outcome.ABORTED)),
-        tuple(log for log in tried if log.outcome == Outcome.ABORTED),
-    )
+        return len(self.episodes) - len(self.finished)
 
 
 @dataclass(frozen=True)
 class ObjectiveResult:
     """What the kamikazes of one objective reached, and everything reported with it.
 
+    A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deviation` are
+    discarded by their deviation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
+    deviation is over all trials, each with the deviation that it needed. SKD counts all collisions, the deviation only
+    hits by the moving car.
+
     Attributes:
         plan: what was assessed.
-        kamikaze: Ψ(φ) per φ.
-        skd: discrete Fréchet distances of all pairs.
-        deviation: what each trial counts as in the mean deviation, by φ, m.
-        of_successes: deviations of the trials that hit, by φ, m.
-        trial_deviations: for each φ, what each trial counts as in the mean deviation, in the order of the
-            trials, m; nan: it was aborted, or not run.
-        measured: the further measures of all pairs, by name.
-        confidence: confidence of the intervals over φ; above 95 % if somebody looked at them before more φ were run.
+        kamikaze: the kamikazes of each φ.
+        confidence: confidence of the intervals over φ; above 95 % if they were looked at before more φ were run.
     """
 
     plan: Plan
     kamikaze: tuple[KamikazeSet, ...]
-    skd: Skd
-    deviation: GroupedMean
-    of_successes: GroupedMean
-    trial_deviations: tuple[FloatArray, ...] = ()
-    measured: Mapping[str, Measured] = field(default_factory=dict)
     confidence: float = CONFIDENCE
+
+    @cached_property
+    def pairs(self) -> list[tuple[Trajectory, list[Pair]]]:
+        """Each φ with its pairs (φ, ψ)."""
+        return [(group.safe_trajectory, list(map(pair_of, group.logs))) for group in self.kamikaze]
+
+    @cached_property
+    def _distances(self) -> list[FloatArray]:
+        """Deviation of each pair, by φ, m."""
+        return [
+            deviation_pairs(phi.positions, [one.psi.positions for one in mine], [one.duration for one in mine])
+            for phi, mine in self.pairs
+        ]
+
+    @cached_property
+    def skd(self) -> Skd:
+        """Discrete Fréchet distances of all pairs."""
+        return compute_skd(
+            [(phi, [one.psi for one in mine]) for phi, mine in self.pairs],
+            limited=self._distances if self.plan.limits_deviation else None,
+            maximum_distance=self.plan.maximum_distance,
+            confidence=self.confidence,
+        )
+
+    @cached_property
+    def trial_deviations(self) -> list[FloatArray]:
+        """Deviation of each trial that ran to its end, by φ, in the order of the trials, m; infinite without a hit."""
+        found = []
+        for group, distances in zip(self.kamikaze, self._distances, strict=True):
+            of_collisions = iter(distances.tolist())
+            of_trials = [next(of_collisions) if log.outcome == Outcome.COLLISION else np.inf for log in group.finished]
+            found.append(np.where([log.hit for log in group.finished], of_trials, np.inf))
+        return found
+
+    @cached_property
+    def _means(self) -> tuple[GroupedMean, GroupedMean]:
+        return mean_deviation(self.trial_deviations, eta_max=self.plan.scenario.eta_max, confidence=self.confidence)
+
+    @property
+    def deviation(self) -> GroupedMean:
+        """What each trial counts as in the mean deviation, by φ, m."""
+        return self._means[0]
+
+    @property
+    def of_successes(self) -> GroupedMean:
+        """Deviations of the trials that hit, by φ, m."""
+        return self._means[1]
+
+    def numbered_deviations(self, counts: Sequence[int]) -> list[FloatArray]:
+        """Return what so many trials of each φ count as, by their number, m; nan: it was aborted, or not run."""
+        found = []
+        for group, values, count in zip(self.kamikaze, self.deviation.groups, counts, strict=True):
+            every = np.full(count, np.nan)
+            for log, value in zip(group.finished, values.tolist(), strict=True):
+                if (number := split_episode_id(log.episode.episode_id)[2]) < count:
+                    every[number] = value
+            found.append(every)
+        return found
 
     @property
     def trials(self) -> int:
         """Kamikaze episodes run, aborted ones not counted."""
-        return sum(kamikaze.trials - kamikaze.aborted for kamikaze in self.kamikaze)
+        return sum(len(group.finished) for group in self.kamikaze)
 
     @property
     def successes_by_phi(self) -> list[int]:
@@ -123,13 +153,13 @@ class ObjectiveResult:
     @property
     def clustered_success_rate(self) -> Clustered | None:
         """The success rate with what its error over φ is."""
-        trials = [group.trials - group.aborted for group in self.kamikaze]
-        return clustered_rate(list(zip(self.successes_by_phi, trials, strict=True)), self.confidence)
+        counts = zip(self.successes_by_phi, (len(group.finished) for group in self.kamikaze), strict=True)
+        return clustered_rate(list(counts), self.confidence)
 
     @property
     def reasons(self) -> list[str]:
         """Why kamikaze episodes were aborted, one each."""
-        return [reason for kamikaze in self.kamikaze for reason in kamikaze.reasons]
+        return [log.reason for group in self.kamikaze for log in group.episodes if log.outcome == Outcome.ABORTED]
 
     def bounds(self) -> dict[str, float]:
         """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
@@ -169,7 +199,7 @@ class ObjectiveResult:
 
     def measure_figures(self) -> dict[str, Any]:
         """Return the figures of the further measures, by name."""
-        return {name: one.figures(self.skd.kept, self.confidence) for name, one in self.measured.items()}
+        return {name: one.as_dict() for name, one in measure_pairs(self.pairs, self.skd.kept, self.confidence).items()}
 
     def per_safe_trajectory(self) -> list[dict[str, Any]]:
         """Return the figures of these kamikazes for each φ."""
@@ -187,61 +217,9 @@ class ObjectiveResult:
                 "name": kamikaze.safe_trajectory.name,
                 **dict(zip(keys, found, strict=True)),
                 "pairs": len(kept),
-                "trials": kamikaze.trials,
-                "failed": kamikaze.trials - kamikaze.aborted - successes,
+                "trials": len(kamikaze.episodes),
+                "failed": len(kamikaze.finished) - successes,
                 "aborted": kamikaze.aborted,
             }
             for kamikaze, successes, kept, found in rows
         ]
-
-
-def objective_result(plan: Plan, kamikaze: Sequence[KamikazeSet], confidence: float = CONFIDENCE) -> ObjectiveResult:
-    """Compute the result of kamikazes of one objective that have been run, now or long ago.
-
-    A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deviation` are
-    discarded by their deviation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
-    deviation is over all trials, each with the deviation that it needed. SKD counts all collisions, the
-    deviation only hits by the moving car.
-    """
-    pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
-    deviations = [
-        deviation_pairs(phi.positions, [one.psi.positions for one in mine], [one.duration for one in mine])
-        for phi, mine in pairs
-    ]
-    trials = [_hits_of(group, distances) for group, distances in zip(kamikaze, deviations, strict=True)]
-    eta_max = plan.scenario.eta_max
-    deviation, of_successes = mean_deviation(trials, eta_max=eta_max, confidence=confidence)
-    return ObjectiveResult(
-        plan,
-        tuple(kamikaze),
-        compute_skd(
-            [(phi, [one.psi for one in mine]) for phi, mine in pairs],
-            limited=deviations if plan.limits_deviation else None,
-            maximum_distance=plan.maximum_distance,
-            confidence=confidence,
-        ),
-        deviation,
-        of_successes,
-        measured=measure_pairs(pairs),
-        confidence=confidence,
-        trial_deviations=tuple(
-            _by_trial(group, distances, eta_max) for group, distances in zip(kamikaze, deviations, strict=True)
-        ),
-    )
-
-
-def _hits_of(group: KamikazeSet, distances: FloatArray) -> tuple[FloatArray, int]:
-    """Return the deviations on one φ with which the moving car hit, m, and how many other trials ran to their end."""
-    hit = np.array([log.hit for log in group.logs], dtype=bool)
-    return distances[hit], group.trials - group.aborted - int(hit.sum())
-
-
-def _by_trial(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
-    """Return the deviation that each trial on a φ counts as, by its number, m; nan: it was aborted, or not run."""
-    numbers = [split_episode_id(log.episode.episode_id)[2] for log in group.in_order]
-    found = np.full(max(numbers, default=-1) + 1, np.nan)
-    for log in group.misses:
-        found[split_episode_id(log.episode.episode_id)[2]] = eta_max
-    for log, distance in zip(group.logs, distances.tolist(), strict=True):
-        found[split_episode_id(log.episode.episode_id)[2]] = min(distance, eta_max) if log.hit else eta_max
-    return found

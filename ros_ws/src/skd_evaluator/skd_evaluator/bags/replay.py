@@ -14,7 +14,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
 from skd_evaluator.assessment.episode_figures import missed_periods, standing
-from skd_evaluator.assessment.objective_result import KamikazeSet, kamikaze_set
+from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.options import RECORDED
 from skd_evaluator.assessment.plan import (
     TRIALS_PER_REQUESTED,
@@ -64,7 +64,7 @@ def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
     up.
     """
     groups = [group for of_objective in sets for group in of_objective]
-    return max(1, *(max(len(group.logs), group.trials // TRIALS_PER_REQUESTED) for group in groups))
+    return max(1, *(max(len(group.logs), len(group.episodes) // TRIALS_PER_REQUESTED) for group in groups))
 
 
 def assessment_from_logs(
@@ -115,7 +115,11 @@ def assessment_from_logs(
     objectives = in_order([one for _, one in kamikazes] or [first.objective])
     indices = sorted(safe)
     sets = {
-        one: [kamikaze_set(safe[index], kamikazes.get((index, one), ())) for index in indices] for one in objectives
+        one: [
+            KamikazeSet(safe[k], tuple(sorted(kamikazes.get((k, one), ()), key=lambda log: log.episode.episode_id)))
+            for k in indices
+        ]
+        for one in objectives
     }
     replays = [log for _, _, log in sorted(nominal, key=lambda run: run[:2])]
     planned = next((logs[0].episode for logs in kamikazes.values()), first)

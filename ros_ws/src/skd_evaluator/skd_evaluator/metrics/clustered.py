@@ -26,13 +26,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 from skd_sim.arrays import FloatArray
 
+from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.statistics import (
     Interval,
     checked_confidence,
@@ -73,7 +73,7 @@ class VarianceComponents:
 
 
 @dataclass(frozen=True)
-class Clustered:
+class Clustered(Entry):
     """The mean of values that come in groups, with what is known of its error.
 
     Attributes:
@@ -87,6 +87,11 @@ class Clustered:
         notes: why the interval means less than it seems, a few words each.
     """
 
+    KEYS = (
+        "safe_trajectories=groups values standard_error degrees_of_freedom variance_between=components.between "
+        "variance_within=components.within intraclass_correlation=components.correlation notes"
+    )
+
     value: float
     interval: Interval | None
     standard_error: float | None
@@ -95,19 +100,6 @@ class Clustered:
     values: int
     components: VarianceComponents
     notes: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return an entry under `clustering` of assessment.json."""
-        return {
-            "safe_trajectories": self.groups,
-            "values": self.values,
-            "standard_error": self.standard_error,
-            "degrees_of_freedom": self.degrees_of_freedom,
-            "variance_between": self.components.between,
-            "variance_within": self.components.within,
-            "intraclass_correlation": self.components.correlation,
-            "notes": list(self.notes),
-        }
 
 
 def student_quantile(degrees_of_freedom: float, confidence: float) -> float:

@@ -155,12 +155,12 @@ def hit_of(phi: FloatArray, log: EpisodeLog) -> Hit:
 
 
 def mean_deviation(
-    trials_by_phi: Iterable[tuple[FloatArray, int]], *, eta_max: float, confidence: float = 0.95
+    trials: Iterable[FloatArray], *, eta_max: float, confidence: float = 0.95
 ) -> tuple[GroupedMean, GroupedMean]:
     """Return the restricted mean deviation over all trials, and the mean over those that hit, m.
 
     Args:
-        trials_by_phi: for each φ the deviation of each trial that hit, m, and how many ran to their end without a hit.
+        trials: for each φ the deviation of each trial that ran to its end, m; infinite without a hit.
         eta_max: η_max, m, > 0: what a trial counts as that failed, or that needed more.
         confidence: confidence of the interval over φ.
 
@@ -169,11 +169,8 @@ def mean_deviation(
     """
     if not eta_max > 0.0:
         raise ValueError(f"eta_max must be positive, got {eta_max}")
-    trials = list(trials_by_phi)
-    restricted = (
-        np.concatenate([np.minimum(distances, eta_max), np.full(failed, eta_max)]) for distances, failed in trials
-    )
+    groups = list(trials)
     return (
-        GroupedMean(tuple(restricted), DISTANCES, (0.0, eta_max), confidence),
-        GroupedMean(tuple(distances for distances, _ in trials), DISTANCES, confidence=confidence),
+        GroupedMean(tuple(np.minimum(one, eta_max) for one in groups), DISTANCES, (0.0, eta_max), confidence),
+        GroupedMean(tuple(one[np.isfinite(one)] for one in groups), DISTANCES, confidence=confidence),
     )

@@ -20,6 +20,7 @@ from skd_sim.arrays import FloatArray
 
 from skd_evaluator.metrics.clustered import MARGINS, Clustered, clustered_mean
 from skd_evaluator.metrics.deviation import Hit
+from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.statistics import Interval, mean, ratio_interval
 from skd_evaluator.metrics.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 
@@ -33,14 +34,16 @@ _ROUNDING = 1e-9  # m: a mean margin that is not above it is 0
 
 
 @dataclass(frozen=True)
-class Excess:
+class Excess(Entry):
     """How much too high the mean of a search may still be, estimated from trials that were searched much deeper.
 
     Attributes:
         mean: m, ≥ 0.
-        error: standard error of `mean`, m.
-        trials: how many were searched deeper.
+        error: standard error, m.
+        trials: trials that were searched deeper.
     """
+
+    KEYS = "mean error trials"
 
     mean: float
     error: float

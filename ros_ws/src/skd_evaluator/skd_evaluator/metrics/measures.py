@@ -7,9 +7,9 @@ SKD's own stand in `MEASURES`; an installed package adds one by an entry point o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.clustered import GroupedMean, Prior
+from skd_evaluator.metrics.entry import Entry
 
 MEASURES = Registry(
     "measure",
@@ -71,40 +72,41 @@ class Measure:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class Measured(Entry):
     """A measure's values.
 
     Attributes:
         measure: what was measured.
-        values: the value of each pair, φ by φ.
-        error: why there are none, in one line; empty: there are.
+        groups: the value of each pair that counts, by φ; nan: not defined.
+        confidence: confidence of the interval over φ.
+        error: why it could not be computed, in one line; None: it was.
     """
 
+    KEYS = (
+        "label=measure.label unit=measure.unit shown=measure.shown mean=known.mean ci95_pairs=known.plain_interval "
+        "ci95=known.interval pairs undefined error"
+    )
+
     measure: Measure
-    values: tuple[FloatArray, ...]
-    error: str = ""
+    groups: tuple[FloatArray, ...]
+    confidence: float
+    error: str | None = None
 
-    def figures(self, kept: Sequence[npt.NDArray[np.int64]], confidence: float) -> dict[str, Any]:
-        """Return an entry under `measures` of assessment.json.
+    @cached_property
+    def known(self) -> GroupedMean:
+        """The values that are defined."""
+        known = tuple(values[np.isfinite(values)] for values in self.groups)
+        return GroupedMean(known, self.measure.prior, (-math.inf, math.inf), self.confidence)
 
-        Args:
-            kept: the pairs that count, for each φ.
-            confidence: confidence of the interval over φ.
-        """
-        groups = [values[rows] for values, rows in zip(self.values, kept, strict=True)] if not self.error else []
-        known = tuple(values[np.isfinite(values)] for values in groups)
-        found = GroupedMean(known, self.measure.prior, (-math.inf, math.inf), confidence)
-        return {
-            "label": self.measure.label,
-            "unit": self.measure.unit,
-            "shown": self.measure.shown,
-            "mean": found.mean,
-            "ci95_pairs": found.plain_interval,
-            "ci95": found.interval,
-            "pairs": int(found.values.size),
-            "undefined": sum(len(values) for values in groups) - int(found.values.size),
-            "error": self.error or None,
-        }
+    @property
+    def pairs(self) -> int:
+        """Pairs in which it is defined."""
+        return int(self.known.values.size)
+
+    @property
+    def undefined(self) -> int:
+        """Pairs in which it is not defined."""
+        return sum(map(len, self.groups)) - self.pairs
 
 
 def load_measures() -> dict[str, Measure]:
@@ -120,27 +122,31 @@ def load_measures() -> dict[str, Measure]:
     return found
 
 
-def measure_pairs(groups: Sequence[tuple[Trajectory, Sequence[Pair]]]) -> Mapping[str, Measured]:
+def measure_pairs(
+    groups: Sequence[tuple[Trajectory, Sequence[Pair]]], kept: Sequence[npt.NDArray[np.int64]], confidence: float
+) -> dict[str, Measured]:
     """Return every measure of all pairs, by name.
 
     A measure that is not SKD's own and fails is said to have failed: what was run before must not be lost by it.
 
     Args:
         groups: each φ with its pairs.
+        kept: the pairs that count, for each φ.
+        confidence: confidence of the intervals over φ.
 
     Raises:
         UsageError: the trajectories of a pair do not go together.
     """
-    return {name: _measured(name, measure, groups) for name, measure in load_measures().items()}
-
-
-def _measured(name: str, measure: Measure, groups: Sequence[tuple[Trajectory, Sequence[Pair]]]) -> Measured:
-    try:
-        return Measured(measure, tuple(_values(measure, phi, pairs) for phi, pairs in groups))
-    except Exception as error:
-        if name in MEASURES.own:
-            raise
-        return Measured(measure, (), reason_of(error))
+    found = {}
+    for name, measure in load_measures().items():
+        try:
+            values = [_values(measure, phi, pairs)[rows] for (phi, pairs), rows in zip(groups, kept, strict=True)]
+            found[name] = Measured(measure, tuple(values), confidence)
+        except Exception as error:
+            if name in MEASURES.own:
+                raise
+            found[name] = Measured(measure, (), confidence, reason_of(error))
+    return found
 
 
 def _values(measure: Measure, phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:

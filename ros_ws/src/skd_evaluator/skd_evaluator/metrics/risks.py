@@ -20,6 +20,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import EpisodeLog
 
 from skd_evaluator.metrics.clustered import clustered_mean, clustered_rate, student_quantile
+from skd_evaluator.metrics.entry import Entry, Share
 from skd_evaluator.metrics.statistics import Interval, mean, wilson_interval
 
 SCALES: Final = (1.0, 2.0, 3.0)
@@ -83,7 +84,7 @@ class Subsets:
 
 
 @dataclass(frozen=True, eq=False)
-class ScaleRisk:
+class ScaleRisk(Entry):
     """The risk at one scale.
 
     Attributes:
@@ -96,6 +97,8 @@ class ScaleRisk:
         lost: crossings of subset simulation that were aborted, with which it ended: then there is no risk at this
             scale. They are neither hits nor misses, and whoever ends just those that hit had none.
     """
+
+    KEYS = "scale value ci95 ci95_by_phi method episodes gain runs hits flank standing aborted subset_aborted note"
 
     scale: float
     touches: IntArray
@@ -139,7 +142,7 @@ class ScaleRisk:
         return len(self.touches) + (0 if self.subsets is None else self.subsets.episodes)
 
     @cached_property
-    def value(self) -> float | None:
+    def value(self) -> Share | None:
         """R(s); None without a run, or where subset simulation was asked and crossings of it were aborted."""
         if self.lost:
             return None
@@ -195,59 +198,59 @@ class ScaleRisk:
         variance = float(np.var(values, ddof=1)) / len(values)
         return None if variance <= 0.0 else self.value * (1.0 - self.value) / variance / self.subsets.episodes
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return its entry under `risk` of assessment.json."""
-        return {
-            "scale": self.scale,
-            "value": self.value,
-            "ci95": self.ci95,
-            "ci95_by_phi": self.ci95_by_phi,
-            "method": self.method,
-            "episodes": self.episodes,
-            "gain": self.gain,
-            "runs": self.runs,
-            "hits": self.hits,
-            "flank": self.number_of(Touch.FLANK),
-            "standing": self.number_of(Touch.STANDING),
-            "aborted": self.number_of(Touch.ABORTED),
-            "subset_aborted": self.lost or None,
-            "note": "; ".join(self._notes()),
-        }
+    @property
+    def flank(self) -> int:
+        """Crude runs that ended in a contact with a side or the rear of the moving car."""
+        return self.number_of(Touch.FLANK)
 
-    def _notes(self) -> list[str]:
+    @property
+    def standing(self) -> int:
+        """Crude runs that ended in a contact with a car slower than hit_speed."""
+        return self.number_of(Touch.STANDING)
+
+    @property
+    def aborted(self) -> int:
+        """Crude runs that were aborted."""
+        return self.number_of(Touch.ABORTED)
+
+    @property
+    def subset_aborted(self) -> int | None:
+        """Crossings of subset simulation that were aborted, with which it ended; null: none were."""
+        return self.lost or None
+
+    @property
+    def note(self) -> str:
+        """What to heed."""
         found = [CONDITIONAL] if self.value is not None and self.value < UNSEEN else []
         if self.lost:
             found.append(f"not known: {crossings_lost(self.lost)} in subset simulation; none of them counts as a miss")
         many = self.subsets is not None and len(self.subsets.levels) > 1
         if self.subsets is not None and many and float(np.std(self.subsets.estimates, ddof=1)) > (self.value or 0.0):
             found.append(UNEVEN)
-        return found
+        return "; ".join(found)
 
 
 @dataclass(frozen=True, eq=False)
-class Risks:
+class Risks(Entry):
     """The risk of a car at all scales.
 
     Attributes:
-        behaviour: the behaviour model, as plain data.
-        scales: one each, in their order.
-        failures: the most likely failures, as in assessment.json; None where nobody is hit, or it is not known when.
+        behaviour: the behaviour model, as in its file.
+        scales: each scale s.
+        failures: the most likely failures; null: no hit.
         failing: logs of those that are kept, by the numbers of their crude runs.
     """
 
+    KEYS = "behaviour scales failures"
+
     behaviour: Mapping[str, Any]
     scales: Sequence[ScaleRisk]
-    failures: Mapping[str, Any] | None = None
+    failures: Entry | None = None
     failing: Mapping[int, EpisodeLog] = field(default_factory=dict)
 
     def at(self, scale: float) -> ScaleRisk | None:
         """Return the risk at a scale; None where it was not asked for."""
         return next((one for one in self.scales if one.scale == scale), None)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry `risk` of assessment.json."""
-        scales = [one.as_dict() for one in self.scales]
-        return {"behaviour": dict(self.behaviour), "scales": scales, "failures": self.failures}
 
 
 def crossings_lost(count: int) -> str:

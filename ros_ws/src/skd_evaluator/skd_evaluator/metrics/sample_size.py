@@ -20,14 +20,14 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.metrics.clustered import Clustered, Prior, student_quantile
-from skd_evaluator.metrics.statistics import checked_confidence
+from skd_evaluator.metrics.entry import Entry
+from skd_evaluator.metrics.statistics import Interval, checked_confidence
 
 MOST = 10_000
 """φ beyond which nobody is advised."""
@@ -222,55 +222,68 @@ def _normal(places: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class UntilWidth:
+class Look(Entry):
+    """What was known at one look.
+
+    Attributes:
+        safe_count: φ by then.
+        found: the mean planned deviation by then; None without a trial.
+    """
+
+    KEYS = "safe_count deviation interval"
+
+    safe_count: int
+    found: Clustered | None
+
+    @property
+    def deviation(self) -> float | None:
+        """Planned deviation by then, m."""
+        return None if self.found is None else self.found.value
+
+    @property
+    def interval(self) -> Interval | None:
+        """Interval of it over φ, m."""
+        return None if self.found is None else self.found.interval
+
+
+@dataclass(frozen=True)
+class UntilWidth(Entry):
     """When an assessment stopped, and why.
 
     Attributes:
         requested: width of the interval of the mean deviation, m.
-        most_looks: greatest number of looks.
+        most_looks: at most so many looks.
         confidence: confidence of each look's interval, such that all together hold with 95 %.
-        looks: number of φ, mean deviation and its interval (m) at each.
+        looks: each look.
     """
+
+    KEYS = "requested reached text most_looks confidence looks"
 
     requested: float
     most_looks: int
     confidence: float
-    looks: tuple[tuple[int, Clustered | None], ...]
+    looks: tuple[Look, ...]
 
     @property
     def width(self) -> float | None:
         """Width at the last look, m; None without an interval."""
-        return _width(self.looks[-1][1])
+        return _width(self.looks[-1].found)
 
     @property
     def reached(self) -> bool:
-        """Whether the last interval is as narrow as requested."""
-        return narrow_enough(self.looks[-1][1], self.requested)
+        """Whether the interval is narrow enough."""
+        return narrow_enough(self.looks[-1].found, self.requested)
 
     @property
     def text(self) -> str:
-        """What came of it, in one line."""
-        count, width = self.looks[-1][0], self.width
+        """What came of it, in words."""
+        count, width = self.looks[-1].safe_count, self.width
         now = "there is none" if width is None else f"it is {width:.3f} m wide"
         end = "" if self.reached else f", not {self.requested:g} m as requested: give more φ a batch (--safe-count)"
         return (
             f"after {count} φ the interval of the deviation: {now}{end}; intervals by φ hold at all "
             f"{self.most_looks} looks together"
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of assessment.json."""
-        return {
-            "requested": self.requested,
-            "reached": self.reached,
-            "text": self.text,
-            "most_looks": self.most_looks,
-            "confidence": self.confidence,
-            "looks": [
-                {"safe_count": count, "deviation": found and found.value, "interval": found and found.interval}
-                for count, found in self.looks
-            ],
-        }
 
 
 def narrow_enough(found: Clustered | None, width: float) -> bool:

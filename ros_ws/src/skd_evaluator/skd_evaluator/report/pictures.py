@@ -145,10 +145,10 @@ def _panel_title(assessment: Assessment, result: ObjectiveResult, place: int, sh
     margin = None if margins is None or not margins.size else mean(margins)
     name = textwrap.shorten(group.safe_trajectory.name, _NAME, placeholder="…") or group.safe_trajectory.name[:_NAME]
     if not group.logs:
-        lost = f"{group.aborted} of {group.trials} aborted" if group.aborted else "no kamikaze"
+        lost = f"{group.aborted} of {len(group.episodes)} aborted" if group.aborted else "no kamikaze"
         return f"{name}: {lost}\n{_figures(assessment, result, None, None, margin)}"
     means = result.deviation.means[place], result.skd.distances.means[place]
-    failed = group.trials - group.aborted - result.successes_by_phi[place]
+    failed = len(group.finished) - result.successes_by_phi[place]
     drawn = f", {shown} drawn" if len(group.logs) > shown else ""
     count = f"{counted(len(group.logs), 'kamikaze')}{drawn}{f', {failed} failed' if failed else ''}"
     return f"{name}: {count}\n{_figures(assessment, result, *means, margin)}"

@@ -17,18 +17,34 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, read_json
 
 from skd_evaluator.assessment import figure_table as table
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Of, Schema, keys_of, or_null, ref
+from skd_evaluator.assessment.episode_figures import StaticTest
+from skd_evaluator.assessment.failures import Failures
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Of, keys_of
 from skd_evaluator.metrics.aborted import value_of
+from skd_evaluator.metrics.clustered import Clustered
+from skd_evaluator.metrics.entry import Schema, object_of, or_null, ref
+from skd_evaluator.metrics.margins import Excess
+from skd_evaluator.metrics.measures import Measured
+from skd_evaluator.metrics.risks import Risks
+from skd_evaluator.metrics.sample_size import UntilWidth
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
+from skd_evaluator.metrics.vulnerability_curve import Vulnerability
 
-_KINDS = (table.NUMBER, table.SHARE, table.INTERVAL, table.COUNT, table.FLAG, table.TEXT, table.LINES)
-_FIGURE, _SHARE, _BETWEEN, _COUNT, _FLAG, _TEXT, _LINES = (one.schema for one in _KINDS)
-_NUMBER = ref("number")
+_KINDS: Mapping[str, Schema] = {
+    "number": ref("number"), "figure": table.NUMBER.schema, "share": table.SHARE.schema,
+    "interval": table.INTERVAL.schema, "count": table.COUNT.schema, "flag": table.FLAG.schema,
+    "text": table.TEXT.schema, "time": {"type": "number", "minimum": 0},
+    "digest": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
+}  # fmt: skip
 
 
-def _object(**properties: Schema) -> dict[str, Any]:
-    """Return the schema of an object that has just these."""
-    return {"type": "object", "properties": properties, "required": [*properties], "additionalProperties": False}
+def _object(**properties: Schema | str) -> dict[str, Any]:
+    """Return the schema of an object that has just these, each a schema or its kind and what it is."""
+    found = {}
+    for key, one in properties.items():
+        kind, _, says = one.partition(" ") if isinstance(one, str) else ("", "", "")
+        found[key] = {**_KINDS[kind], "description": says} if isinstance(one, str) else one
+    return object_of(found)
 
 
 def _list(items: Schema) -> dict[str, Any]:
@@ -47,217 +63,102 @@ def _said(schema: Schema, says: str) -> dict[str, Any]:
     return {**schema, "description": says}
 
 
-_SAYS = {
-    "speeds": {"mean": "m/s", "p90": "90 % quantile, m/s"},
-    "aborted_reason": {"count": "episodes", "first": "reason of the first of them"},
-    "commands_clipped": {"commands": "how many", "episodes": "in how many episodes"},
-    "command_age": {
-        "median": "s", "p99": "99 % quantile, s", "worst": "s", "control_periods": "how many there were",
-        "held": "control periods without a new command", "greatest_delay": "of the simulator behind the clock, s"},
-    "measure": {
-        "label": "name in tables", "unit": "of mean and intervals", "shown": "whether tables have it",
-        "mean": "over the pairs, in its unit", "ci95_pairs": "95 % interval, pairs taken as independent",
-        "ci95": "95 % interval over φ", "pairs": "in which it is defined", "undefined": "pairs in which it is not",
-        "error": "why it could not be computed; null: it was"},
-    "risk": {
-        "name": "of the behaviour model", "kind": "of road user", "description": "in words",
-        "parameters": "of the behaviour model, by name",
-        "value": "probability of a hit by the front; of a parameter, as in its file", "source": "of the value",
-        "interval_95": "95 % interval of the parameter",
-        "scales": "each scale s", "ci95_by_phi": "95 % interval over φ", "method": "crude, or subset simulation",
-        "episodes": "crossings, of all kinds", "aborted": "crude crossings that were aborted", "note": "what to heed",
-        "runs": "crude crossings", "kinds": "what walkers did, the most frequent first", "hits": "crossings",
-        "share": "of the hits", "nearest": "the most likely of them", "safe_trajectory": "number of φ, from 0",
-        "trial": "number of the crossing on it"},
-    "price_of_caution": {"aborted": "runs that were aborted", "runs": "each run"},
-    "clustering": {
-        "safe_trajectories": "φ with values", "values": "how many", "standard_error": "of the mean, by φ",
-        "degrees_of_freedom": "of it", "variance_between": "between φ, squared unit of the figure",
-        "variance_within": "within φ, squared unit of the figure", "intraclass_correlation": "share between φ",
-        "notes": "what to heed"},
-    "margin_source": {"source": "name", "candidates": "that it brought"},
-    "until_width": {
-        "reached": "whether the interval is narrow enough", "text": "in words", "most_looks": "at most so many looks",
-        "confidence": "of each look's interval", "looks": "each look", "safe_count": "φ by then",
-        "deviation": "planned deviation by then, m", "interval": "of it, over φ, m"},
-    "static_test": {"touched": "whether there was a contact", "aborted": "why it was aborted; empty: it was not"},
-    "safe_trajectory": {
-        "deviation": "mean planned deviation on φ, m", "deviation_of_successes": "of the trials with a hit, m",
-        "skd": "mean discrete Fréchet distance, m", "skd_prefix": "mean prefix distance, m", "pairs": "pairs (φ, ψ)"},
-    "curve": {
-        "eta_max": "m", "trials": "aborted ones left out", "steps": "the whole curve", "eta": "deviation, m",
-        "probability": "share of the trials with a hit within eta", "points": "the curve at some eta, with intervals",
-        "ci95_trials": "Wilson's 95 % interval, trials taken as independent", "ci95": "95 % interval over φ",
-        "bound": "Theorem 1's upper bound", "cantelli": "Cantelli's upper bound"},
-    "surrogate_measure": {"median": "in the measure's unit", "worst": "in the measure's unit"},
-    "surrogates": {"depends_on": "car, road user or both"},
-    "surrogate_measures": {"along_phi": "of the runs along φ"},
-    "vulnerability_curve": {
-        "kamikazes": "of planned kamikazes", "budgets": "kamikazes bounded by eta", "eta": "bound, m",
-        "probability": "share of the trials with a hit within eta", "ci95_trials": "Wilson's 95 % interval",
-        "successes": "trials with a hit within eta", "aborted": "episodes", "margins": "null: not known"},
-    "provenance": {
-        "host": "name of the machine", "platform": "operating system and processor", "python": "its version",
-        "revision": "commit", "path": "of the file", "sha256": "of the file"},
+_OF_PHI = {
+    "deviation": "mean planned deviation on φ, m", "deviation_of_successes": "of the trials with a hit, m",
+    "skd": "mean discrete Fréchet distance, m", "skd_prefix": "mean prefix distance, m", "pairs": "pairs (φ, ψ)",
 }  # fmt: skip
-"""What the keys within each definition are, where the definition itself does not say it."""
-_SAYS["safe_trajectory_of_objective"] = _SAYS["safe_trajectory"]
 
 
-def _described(node: Any, says: Mapping[str, str]) -> Any:
-    """Return a schema each of whose keys has a description."""
-    if isinstance(node, list):
-        return [_described(one, says) for one in node]
-    if not isinstance(node, Mapping):
-        return node
-    found = {key: _described(value, says) for key, value in node.items() if key != "properties"}
-    if "properties" in node:
-        keys = {key: _described(one, says) for key, one in node["properties"].items()}
-        found["properties"] = {
-            key: {"description": says[key], **one} if key in says else one for key, one in keys.items()
-        }
-    return found
-
-
+# fmt: off
 def _definitions() -> dict[str, Any]:
-    of_phi = {key: one.kind.schema if one.per_phi else one.described() for key, one in OF_PHI.items()}
+    of_phi = {key: _said(one.kind.schema, _OF_PHI[key]) if one.per_phi else one.described()
+              for key, one in OF_PHI.items()}
     at_the_top = {one.key: one.described() for one in table.FIGURES if one.of is Of.PHI_TOP}
-    sha256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
-    git = _object(
-        revision={"type": "string", "pattern": "^[0-9a-f]{40,64}$"},
-        modified=_said(_FLAG, "whether files of the checkout differ from it"),
-    )
+    parameter = _object(value="number as in its file", source="text of the value",
+                        interval_95="interval 95 % interval of the parameter")
+    parameters = {"type": "object", "additionalProperties": {**parameter, "required": ["value", "source"]}}
+    risk = Risks.schema()
+    risk["properties"]["behaviour"] = _said(_object(
+        name="text of the behaviour model", kind="text of road user", description="text in words",
+        parameters=_said(parameters, "of the behaviour model, by name")), "as in its file")
+    risk["properties"]["failures"] = _said(or_null(Failures.schema()), "the most likely failures; null: no hit")
+    git = or_null(_object(revision={"type": "string", "pattern": "^[0-9a-f]{40,64}$", "description": "commit"},
+                          modified="flag whether files of the checkout differ from it"))
+    pairs = _said(_list(_list(ref("number"))), "pairs of position, 0 to 1, and acceleration, m/s²")
     return {
         "number": {"type": "number"},
         "number_or_null": {"type": ["number", "null"]},
         "rate": {"type": ["number", "null"], "minimum": 0, "maximum": 1},
         "interval": _pair("[low, high]; null where it is not defined", "number"),
         "open_interval": _pair("[low, high]; an end beyond what was compared is null", "number_or_null"),
-        "speeds": _object(mean=_NUMBER, p90=_NUMBER),
-        "aborted_reason": _object(count={"type": "integer", "minimum": 1}, first=_TEXT),
-        "commands_clipped": _object(commands=_COUNT, episodes=_COUNT),
+        "speeds": _object(mean="number m/s", p90="number 90 % quantile, m/s"),
+        "aborted_reason": _object(count="count episodes", first="text reason of the first of them"),
+        "commands_clipped": _object(commands="count how many", episodes="count in how many episodes"),
         "simulator_contacts": _object(
-            both=_said(_COUNT, "episodes in which both see a contact"),
-            geometry_alone=_said(_COUNT, "in which SKD's geometry alone does"),
-            simulator_alone=_said(_COUNT, "in which the simulator's shapes alone do"),
-            episodes=_said(_COUNT, "episodes that were compared; aborted ones left out"),
-            greatest_gap=_said(_FIGURE, "greatest time between the two contacts, s")),
-        "simulation": {"type": "object", "properties": {
-            "version": _said(_TEXT, "of the simulator"),
-            "physics_step": _said(_NUMBER, "s"),
-            "mass": _said(_NUMBER, "of the car, kg"),
-            "wheel_friction": _said(_NUMBER, "coefficient of friction of a wheel"),
-            "limits": _said(_list(_NUMBER), "least and greatest acceleration along the car's heading, m/s²"),
-            "pedals": {
-                "type": "object", "description": "acceleration along the heading by pedal position, as measured, m/s²",
-                "properties": {
-                    "brake": _said(_list(_list(_NUMBER)), "pairs of position, 0 to 1, and acceleration, m/s²"),
-                    "throttle": _said(_list(_list(_NUMBER)), "pairs of position, 0 to 1, and acceleration, m/s²"),
-                    "coasting": _said(_NUMBER, "acceleration without a pedal, m/s²")}}}},
+            both="count episodes in which both see a contact",
+            geometry_alone="count in which SKD's geometry alone does",
+            simulator_alone="count in which the simulator's shapes alone do",
+            episodes="count episodes that were compared; aborted ones left out",
+            greatest_gap="figure greatest time between the two contacts, s"),
+        "simulation": {"type": "object", "properties": _object(
+            version="text of the simulator", physics_step="number s", mass="number of the car, kg",
+            wheel_friction="number coefficient of friction of a wheel",
+            limits=_said(_list(ref("number")), "least and greatest acceleration along the car's heading, m/s²"),
+            pedals={"type": "object", "properties": _object(
+                brake=pairs, throttle=pairs, coasting="number acceleration without a pedal, m/s²")["properties"],
+                "description": "acceleration along the heading by pedal position, as measured, m/s²"})["properties"]},
         "command_age": _object(
-            **{name: {"type": "number", "minimum": 0} for name in ("median", "p99", "worst")},
-            control_periods={"type": "integer", "minimum": 1}, held=_COUNT, greatest_delay={"type": "number"}),
-        "measure": _object(
-            label=_TEXT, unit=_TEXT, shown=_FLAG, mean=_FIGURE, ci95_pairs=_BETWEEN, ci95=_BETWEEN, pairs=_COUNT,
-            undefined=_COUNT, error={"type": ["string", "null"]}),
-        "risk": _object(
-            behaviour=_said(_object(
-                name=_TEXT, kind=_TEXT, description=_TEXT,
-                parameters={"type": "object", "additionalProperties": {
-                    "type": "object", "required": ["value", "source"],
-                    "properties": {"value": _NUMBER, "source": _TEXT, "interval_95": _BETWEEN},
-                    "additionalProperties": False}}), "as in its file"),
-            scales=_list(_object(
-                scale=_said(_NUMBER, "s, by which all deviations are multiplied"), value=_SHARE,
-                ci95=_said(_BETWEEN, "of the estimate, for these φ"), ci95_by_phi=_BETWEEN, method=_TEXT,
-                episodes=_COUNT,
-                gain=_said(_FIGURE, "times as many crude crossings would have the same error; null: crude"),
-                runs=_said(_COUNT, "crude crossings, aborted ones left out"),
-                hits=_said(_COUNT, "of these, by the front of the moving car"),
-                flank=_said(_COUNT, "contacts with a side or the rear of the moving car"),
-                standing=_said(_COUNT, "contacts with a car slower than hit_speed"), aborted=_COUNT,
-                subset_aborted=_said(
-                    {"type": ["integer", "null"], "minimum": 1},
-                    "crossings of subset simulation that were aborted, with which it ended; null: none were"),
-                note=_TEXT)),
-            failures=_said(or_null(_object(
-                scale=_said(_NUMBER, "s at which they are"), runs=_COUNT,
-                hits=_said(_COUNT, "crude crossings in which the car hits"),
-                looked_at=_said(_COUNT, "of these, classified: the first of them"),
-                kinds=_list(_object(
-                    kind=_said(_TEXT, "what the walker did"), hits=_COUNT, share=_SHARE,
-                    nearest=_list(_object(
-                        safe_trajectory=_COUNT, trial=_COUNT,
-                        deviation=_said(_NUMBER, "from φ, in standard deviations of people"),
-                        people=_said(_SHARE, "share of people who deviate as much or more"),
-                        impact_speed=_said(_NUMBER, "m/s"))))))), "the most likely failures; null: no hit")),
+            median="time s", p99="time 99 % quantile, s", worst="time s",
+            control_periods="count how many there were", held="count control periods without a new command",
+            greatest_delay="number of the simulator behind the clock, s"),
+        "measure": Measured.schema(),
+        "risk": risk,
         "price_of_caution": _object(
-            horizon=_said(_NUMBER, "s after which the car has not got past"),
-            hard_braking=_said(_NUMBER, "m/s², that counts as needless"), aborted=_COUNT,
-            runs=_list(_object(
-                kind=_said(_TEXT, "what the road user does"), passed=_said(_NUMBER, "when the car has got past, s"),
-                undisturbed=_said(_NUMBER, "when it has with the road to itself, s"),
-                unslowed=_said(_NUMBER, "when it would have at its start speed, s"),
-                braked=_said(_FLAG, "whether it braked hard here alone")))),
-        "clustering": _object(
-            safe_trajectories=_COUNT, values=_COUNT, standard_error=_FIGURE, degrees_of_freedom=_FIGURE,
-            variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=_LINES),
-        "margin_excess": _object(
-            mean=_said(_NUMBER, "m"), error=_said(_NUMBER, "standard error, m"),
-            trials=_said(_COUNT, "trials that were searched deeper")),
+            horizon="number s after which the car has not got past",
+            hard_braking="number m/s², that counts as needless", aborted="count runs that were aborted",
+            runs=_said(_list(_object(
+                kind="text what the road user does", passed="number when the car has got past, s",
+                undisturbed="number when it has with the road to itself, s",
+                unslowed="number when it would have at its start speed, s",
+                braked="flag whether it braked hard here alone")), "each run")),
+        "clustering": Clustered.schema(),
+        "margin_excess": Excess.schema(),
         "margin_source": _object(
-            source=_TEXT, candidates=_COUNT, hits=_said(_COUNT, "of them that were better than the best known"),
-            lowered=_said(_NUMBER, "margins by, in all trials together, m")),
+            source="text name", candidates="count that it brought",
+            hits="count of them that were better than the best known",
+            lowered="number margins by, in all trials together, m"),
         "clusterings": _clusterings(AT_THE_TOP.values()),
         "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
-        "until_width": _object(
-            requested=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
-            looks=_list(_object(safe_count=_COUNT, deviation=_FIGURE, interval=_BETWEEN))),
-        "static_test": _object(
-            place=_said(_NUMBER, "% of the car's width"), touched=_FLAG,
-            target=_said(_FLAG, "whether the target was touched, and no other road user"),
-            impact_speed=_said(_NUMBER, "of the car, m/s; 0 without a contact"),
-            speed_ahead=_said(_NUMBER, "of the target, along the car's heading, m/s"),
-            fastest=_said(_NUMBER, "greatest speed of the car, m/s"),
-            braking_ttc=_said(_FIGURE, "time to collision when the car began to brake, s"), aborted=_TEXT),
+        "until_width": UntilWidth.schema(),
+        "static_test": StaticTest.schema(),
         "safe_trajectory": _object(**of_phi, **at_the_top),
         "safe_trajectory_of_objective": _object(**of_phi),
         "objective": _object(**dict(pair for one in OF_OBJECTIVES.values() for pair in one.schemas())),
-        "curve": _object(
-            eta_max=_NUMBER, trials=_COUNT, area_above=_said(_NUMBER, "m"),
-            steps=_object(eta=_list(_NUMBER), probability=_list(_SHARE)),
-            points=_list(_object(
-                eta=_NUMBER, probability=_SHARE, ci95_trials=_BETWEEN, ci95=_BETWEEN, bound=_SHARE,
-                cantelli=_SHARE))),
         "surrogate_measure": _object(
-            median=_FIGURE, worst=_FIGURE, defined=_said(_COUNT, "episodes in which it is defined")),
+            median="figure in the measure's unit", worst="figure in the measure's unit",
+            defined="count episodes in which it is defined"),
         "surrogates": _object(
-            depends_on=_TEXT, episodes=_said(_COUNT, "aborted ones left out"),
-            **{
-                name: _said(ref("surrogate_measure"), one.label + (one.unit and f", {one.unit}"))
-                for name, one in SURROGATE_MEASURES.items()
-            }),
+            depends_on="text car, road user or both", episodes="count aborted ones left out",
+            **{name: _said(ref("surrogate_measure"), one.label + (one.unit and f", {one.unit}"))
+               for name, one in SURROGATE_MEASURES.items()}),
         "surrogate_measures": _object(
-            along_phi=ref("surrogates"),
+            along_phi=_said(ref("surrogates"), "of the runs along φ"),
             kamikazes=_said({"type": "object", "additionalProperties": ref("surrogates")}, "by their objective")),
-        "vulnerability_curve": _object(
-            kamikazes=ref("curve"),
-            budgets=_list(_object(
-                eta=_NUMBER, probability=_SHARE, ci95_trials=_BETWEEN, successes=_COUNT,
-                trials=_said(_COUNT, "aborted ones left out"), aborted=_COUNT)),
-            margins=or_null(ref("curve"))),
+        "vulnerability_curve": Vulnerability.schema(),
         "provenance": _said(_object(
             date={"type": "string", "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z$",
                   "description": "when it began, UTC"},
-            host=_TEXT, platform=_TEXT, python=_TEXT,
-            command=_said(_TEXT, "command line"), folder=_said(_TEXT, "where it ran"),
-            git=_said(or_null(git), "of the checkout that SKD ran from; null: it was installed"),
-            controller_files=_said(_list(_object(path=_TEXT, sha256=sha256)),
+            host="text name of the machine", platform="text operating system and processor", python="text its version",
+            command="text command line", folder="text where it ran",
+            git=_said(git, "of the checkout that SKD ran from; null: it was installed"),
+            controller_files=_said(_list(_object(path="text of the file", sha256="digest of the file")),
                                    "of the controller's module or what its command names, and what is beside it"),
-            controller_git=_said(or_null(git), "of the checkout that the module, or last file named, is in"),
-            car_model_sha256=_said({**sha256, "type": ["string", "null"]}, "of car_model above, as it was given"),
+            controller_git=_said(git, "of the checkout that the module, or last file named, is in"),
+            car_model_sha256=_said({**_KINDS["digest"], "type": ["string", "null"]},
+                                   "of car_model above, as it was given"),
         ), "what ran, when and where; nothing in it is a figure, and two equal assessments differ in it"),
-    }  # fmt: skip
+    }
+# fmt: on
 
 
 @functools.cache
@@ -272,7 +173,7 @@ def assessment_schema() -> dict[str, Any]:
         "description": "Figures of one car. Lengths in m, times in s, angles in rad; what cannot be computed is null.",
         **figures,
         "properties": {"interrupted": interrupted, **figures["properties"]},
-        "$defs": {name: _described(one, _SAYS.get(name, {})) for name, one in _definitions().items()},
+        "$defs": _definitions(),
     }
 
 

@@ -54,7 +54,7 @@ def write_episodes(path: Path | IO[bytes], assessment: Assessment) -> None:
         rows.append((EpisodeLog(episode, Outcome.ARRIVED, phi.positions, nowhere, math.nan, math.nan), index, ""))
     for result in assessment.results:
         for index, kamikaze in enumerate(result.kamikaze):
-            rows += [(log, index, str(result.plan.objective)) for log in kamikaze.in_order]
+            rows += [(log, index, str(result.plan.objective)) for log in kamikaze.episodes]
     rows += [(log, _index_of(assessment, log), "") for log in assessment.nominal_runs]
     logs = [log for log, _, _ in rows]
     columns = episode_columns(logs)
@@ -310,13 +310,6 @@ class StoredEpisodes:
         impact, adversary = float(self.impact_speed[number]), self.until_contact(number)[-1]
         return car_until_contact(scenario, self.car[number], ticks, impact, adversary)
 
-    def margins(self, eta_max: float) -> tuple[FloatArray, ...] | None:
-        """Return per φ the margin of each trial, m, η_max where nobody can be hit; None where it is not known."""
-        if not self.margin_hits:
-            return None
-        every = ([math.inf if track is None else track.distance for track in tracks] for tracks in self.margin_hits)
-        return tuple(np.minimum(np.array(one, np.float64), eta_max) for one in every)
-
     @cached_property
     def deviation(self) -> FloatArray:
         """Deviation of each episode that collided, m; nan for the others."""
@@ -336,16 +329,6 @@ class StoredEpisodes:
             mine = np.flatnonzero(kamikaze & (self.safe_index == index))
             found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number)) for number in mine])
         return found
-
-    def trials(self, objective: str) -> list[IntArray]:
-        """Return per φ the numbers of the trials of an objective; one that was aborted is none."""
-        tried = (self.mode == Mode.KAMIKAZE) & (self.objective == objective) & (self.outcome != Outcome.ABORTED)
-        return [np.flatnonzero(tried & (self.safe_index == index)) for index in range(len(self.safe))]
-
-    def deviations_of(self, objective: str) -> list[FloatArray]:
-        """Return per φ the deviation of each trial of an objective, m; infinite where it failed."""
-        values = np.where(self.hit, self.deviation, np.inf)
-        return [values[mine] for mine in self.trials(objective)]
 
     def worst_first(self) -> IntArray:
         """Return the numbers of all episodes, the worst for the car first; see `badness`."""

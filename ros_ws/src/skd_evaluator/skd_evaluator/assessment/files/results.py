@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, real_path
-from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
-from skd_sim.scenario.scenario import scenario_from_dict
+from skd_sim.options.adversary import Objective
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.start import installing
-from skd_sim.world.episode import EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.assessment import Assessment, assessment_of
 from skd_evaluator.assessment.episode_figures import SURROGATES, command_age
 from skd_evaluator.assessment.figure_table import figures_html
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, write_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged, write_json
-from skd_evaluator.assessment.files.verification import differences, stored_risks
+from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, ObjectiveResult
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
-from skd_evaluator.metrics.risks import Risks, Touch
-from skd_evaluator.metrics.skd import prefix_distances
-from skd_evaluator.metrics.statistics import mean
+from skd_evaluator.metrics.margins import Excess, Margins, Search
+from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.metrics.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 from skd_evaluator.version import version
 
@@ -43,7 +44,6 @@ class StoredResult:
         figures: content of its assessment.json.
         safe: positions of each φ, m.
         curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
-        objective: objective of these kamikazes.
         groups: per φ, by figure: `margin`, of each trial in the order of their numbers, m, η_max where nobody can be
             hit, and not there where the margin is not known; `deviation`, what each trial of the kamikazes counts
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
@@ -60,7 +60,6 @@ class StoredResult:
     figures: Mapping[str, Any]
     safe: tuple[FloatArray, ...]
     curve: VulnerabilityCurve | None
-    objective: str
     groups: Mapping[str, tuple[FloatArray, ...]]
     remarks: tuple[str, ...] = ()
     worst: Mapping[str, tuple[FloatArray, ...]] = field(default_factory=dict)
@@ -157,107 +156,232 @@ def _library(name: str) -> Any:
 
 
 def read_result(folder: Path) -> StoredResult:
-    """Read an assessment; see `read_both`."""
-    return read_both(folder)[0]
-
-
-def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[str, ...]]:
-    """Return the figures of an assessment, its episodes, and remarks on them, a line each.
-
-    Both are of the same moment: whoever reads them one after the other may have two results, one replaced meanwhile.
+    """Read an assessment and its episodes, and compute its margins and deviations again from its trajectories.
 
     Raises:
-        UsageError: it is none, was changed since it was written, or its trajectories give another margin, deviation
-            or number of φ than it says.
+        UsageError: it is none, was changed since it was written, has neither a margin nor a trial, or its trajectories
+            give another margin, deviation or number of φ than it says.
+    """
+    figures, episodes, assessment, remarks = read_checked(folder)
+    curve = vulnerability_curve(assessment.for_deviation.trial_deviations, assessment.plan.scenario.eta_max)
+    if curve is None and assessment.margins is None:
+        raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
+    lines = (f"{folder}: {line}" for line in in_one_line(figures.get("warnings") or ()))
+    groups = groups_of(assessment)
+    return StoredResult(
+        folder, figures, episodes.safe, curve, groups, (*remarks, *lines), _at_worst(assessment, groups["deviation"])
+    )
+
+
+def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, Assessment, tuple[str, ...]]:
+    """Return the figures of an assessment, its episodes, what these come to, and remarks on them, a line each.
+
+    All are of the same moment: of files that are read one after the other one may be replaced meanwhile.
+
+    Raises:
+        UsageError: see `read_result`.
     """
     known = check_unchanged(folder, (ASSESSMENT, EPISODES))
-    figures, stored = read_figures(folder), read_episodes(folder)
+    figures, episodes = read_figures(folder), read_episodes(folder)
+    count = len(figures["per_safe_trajectory"])
+    if count != len(episodes.safe):
+        raise UsageError(f"{folder / ASSESSMENT}: is of {count} φ, and {EPISODES} beside it of {len(episodes.safe)}")
     with understood(folder / ASSESSMENT):
-        scenario_from_dict(figures["scenario"], str(folder / ASSESSMENT))
-        eta_max, count = float(figures["eta_max"]), len(figures["per_safe_trajectory"])
-        curve = vulnerability_curve(stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"])), eta_max)
-        margins = stored.margins(eta_max)
-        found = {
-            "margin": None if margins is None else mean(np.concatenate(margins)),
-            "deviation": None if curve is None else curve.area_above,
-        }
-        for name, value in found.items():
-            for line in differences(name, figures[name], value):
-                raise UsageError(f"{folder}: {line}: they are not of one assessment")
-    if count != len(stored.safe):
-        raise UsageError(f"{folder / ASSESSMENT}: is of {count} φ, and {EPISODES} beside it of {len(stored.safe)}")
+        assessment = assessment_from_file(figures, episodes)
+        found = {"margin": assessment.margins and assessment.margins.mean}
+        found["deviation"] = assessment.for_deviation.deviation.mean
+    for name, value in found.items():
+        for line in differences(name, figures[name], value):
+            raise UsageError(f"{folder}: {line}: they are not of one assessment")
     remark = f"{folder}: has no {MANIFEST}: that a file was changed would not be seen"
-    return figures, stored, () if known else (remark,)
+    return figures, episodes, assessment, () if known else (remark,)
 
 
-def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
-    """Read an assessment and its episodes, and compute its margins and its curve anew from its trajectories.
-
-    Raises:
-        UsageError: it is none, is damaged, has neither a margin nor a trial, or its trajectories give another margin
-            or deviation than it says.
-    """
-    path = folder / ASSESSMENT
-    figures, stored, remarks = read_checked(folder)
-    with understood(path):
-        eta_max = float(figures["eta_max"])
-        objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
-        objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
-    margins = stored.margins(eta_max)
-    deviations = stored.deviations_of(objective)
-    curve = vulnerability_curve(deviations, eta_max)
-    if curve is None and margins is None:
-        raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
-    of_skd, hit = stored.trials(objective_of_skd), stored.hit.astype(np.float64)
-    collided = stored.collided.astype(np.float64)
-    # Where a maximum distance left some out, those that are there are not the pairs of SKD.
-    limited = figures.get("maximum_distance") is not None
-    distances, prefixes = _distances(stored, [mine[:0] for mine in of_skd] if limited else of_skd)
-    runs = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED)
-    groups = {
-        **({} if margins is None else {"margin": margins}),
-        "deviation": tuple(np.minimum(group, eta_max) for group in deviations),
-        "deviation_success_rate": tuple(np.isfinite(group).astype(np.float64) for group in deviations),
-        "skd": distances,
-        "skd_prefix": prefixes,
-        "kamikaze_success_rate": tuple(collided[mine] for mine in of_skd),
-        "nominal_collision_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
-        "contact_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+def groups_of(assessment: Assessment) -> dict[str, tuple[FloatArray, ...]]:
+    """Return the values of each φ by figure; see `StoredResult.groups`."""
+    ranking, of_skd = assessment.for_deviation, assessment.for_skd
+    margins, risks = assessment.margins, assessment.risks
+    return {
+        **({} if margins is None else {"margin": margins.per_phi}),
+        "deviation": ranking.deviation.groups,
+        "deviation_success_rate": _successes(ranking),
+        "skd": of_skd.skd.distances.groups,
+        "skd_prefix": of_skd.skd.prefixes.groups,
+        "kamikaze_success_rate": _successes(of_skd),
+        "nominal_collision_rate": _shares(assessment.moving_hits()),
+        "contact_rate": _shares(assessment.hits()),
+        **{f"risk_{one.scale:g}": one.groups for one in (risks.scales if risks else ()) if one.value is not None},
     }
-    with understood(path):
-        risks = stored_risks(figures, stored)
-    if risks is not None:
-        groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
-    worst = {} if risks is None else _at_worst(risks)
-    lost = (stored.outcome == Outcome.ABORTED) & (stored.mode == Mode.KAMIKAZE) & (stored.objective == objective)
-    if lost.any():
-        more = [np.zeros(int((lost & (stored.safe_index == index)).sum())) for index in range(len(stored.safe))]
-        worst["deviation"] = tuple(np.concatenate(pair) for pair in zip(groups["deviation"], more, strict=True))
-    lines = (f"{folder}: {line}" for line in in_one_line(figures.get("warnings") or ()))
-    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *lines), worst), stored
 
 
-def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:
-    """Return the groups of the crude risks some of whose crossings were aborted, as if the car had hit in these."""
+def _successes(result: ObjectiveResult) -> tuple[FloatArray, ...]:
+    return tuple(np.array([*map(result.plan.succeeds, group.finished)], np.float64) for group in result.kamikaze)
+
+
+def _shares(counts: Sequence[tuple[int, int]]) -> tuple[FloatArray, ...]:
+    return tuple((np.arange(runs) < hits).astype(np.float64) for hits, runs in counts)
+
+
+def _at_worst(assessment: Assessment, deviations: Sequence[FloatArray]) -> dict[str, tuple[FloatArray, ...]]:
+    """Return the groups that would be others if the car had hit in every aborted episode; see `StoredResult.worst`."""
     found = {}
-    for one in risks.scales:
+    for one in assessment.risks.scales if assessment.risks else ():
         if one.value is not None and one.subsets is None and one.number_of(Touch.ABORTED):
             hits = np.where(one.touches == Touch.ABORTED, int(Touch.FRONT), one.touches)
             found[f"risk_{one.scale:g}"] = replace(one, touches=hits).groups
+    kamikazes = assessment.for_deviation.kamikaze
+    if any(group.aborted for group in kamikazes):
+        pairs = zip(deviations, kamikazes, strict=True)
+        found["deviation"] = tuple(np.append(mine, np.zeros(group.aborted)) for mine, group in pairs)
     return found
 
 
-def _distances(
-    stored: StoredEpisodes, trials: Sequence[IntArray]
-) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-    """Return per φ the Fréchet and the prefix distance of each pair of some trials, m."""
-    step, distances, prefixes = stored.time_step, [], []
-    for phi, mine in zip(stored.safe, trials, strict=True):
-        hit = mine[stored.collided[mine]]
-        psis = [Trajectory(stored.until_contact(number), step) for number in hit.tolist()]
-        distances.append(stored.frechet[hit])
-        prefixes.append(prefix_distances(Trajectory(phi, step), psis))
-    return tuple(distances), tuple(prefixes)
+@dataclass(frozen=True)
+class _StoredPlan(Plan):
+    """A plan of which the file says what its objectives plan for, so that none of them has to be loaded."""
+
+    plans: Mapping[str, bool] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        pass  # its scenario is as it was run, and its car is nobody's
+
+    @property
+    def limits_deviation(self) -> bool:
+        return self.plans[str(self.objective)]
+
+
+def assessment_from_file(figures: Mapping[str, Any], stored: StoredEpisodes) -> Assessment:
+    """Return the assessment that stored episodes give.
+
+    Args:
+        figures: content of assessment.json, of which scenario, confidence and how the margin was searched are taken.
+        stored: the episodes.
+
+    Raises:
+        ValueError, LookupError: they do not go together.
+    """
+    further = stored.further
+    scenario = scenario_from_dict(figures["scenario"], f"scenario in {ASSESSMENT}")
+    names, objectives = further["safe_name"].tolist(), further["objectives"].tolist()
+    for name, here, there in (
+        ("η_max", float(further["eta_max"]), scenario.eta_max),
+        ("time step", stored.time_step, scenario.time_step),
+        ("hit speed", stored.hit_speed, scenario.collision.hit_speed),
+    ):
+        if here != there:
+            raise ValueError(f"{EPISODES} is of a scenario whose {name} is {here:g}, and not {there:g}")
+    limit = float(further["maximum_distance"])
+    plan = _StoredPlan(
+        scenario,
+        safe_count=len(stored.safe),
+        seed=int(further["seed"]),
+        maximum_distance=None if math.isnan(limit) else limit,
+        plans=dict(zip(objectives, further["plans_deviation"].tolist(), strict=True)),
+    )
+    safe = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
+    logs = [_log(stored, number, scenario, safe) for number in range(len(stored))]
+    replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
+    sets: dict[Objective, list[KamikazeSet]] = {}
+    for name in objectives:
+        of_it = (stored.mode == Mode.KAMIKAZE) & (stored.objective == name)
+        rows = [np.flatnonzero(of_it & (stored.safe_index == index)).tolist() for index in range(len(safe))]
+        # A registered objective is not looked up: of a name alone all that is wanted is the name.
+        sets[cast(Objective, name)] = [
+            KamikazeSet(phi, tuple(logs[row] for row in mine)) for phi, mine in zip(safe, rows, strict=True)
+        ]
+    confidence = _confidence(figures)
+    assessment = assessment_of(plan, safe, sets, replays, confidence)
+    margins = _stored_margins(figures, stored, scenario, confidence)
+    risks = _stored_risks(figures, stored, confidence)
+    return replace(assessment, seconds=float(figures["seconds"]), margins=margins, risks=risks)
+
+
+def _confidence(figures: Mapping[str, Any]) -> float:
+    """Return the confidence of the intervals by φ: that of each look, where there were several."""
+    until = figures.get("until_width")
+    found = CONFIDENCE if until is None else float(until["confidence"])
+    if not CONFIDENCE <= found < 1.0:
+        raise ValueError(f"until_width.confidence must be from {CONFIDENCE:g} to below 1, got {found:g}")
+    return found
+
+
+def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Trajectory]) -> EpisodeLog:
+    episode = EpisodeSpec(
+        scenario,
+        Mode(int(stored.mode[number])),
+        int(stored.further["seed"]),
+        int(stored.episode_id[number]),
+        safe_trajectory=safe[int(stored.safe_index[number])],
+    )
+    return stored.log(number, episode)
+
+
+def _stored_margins(
+    figures: Mapping[str, Any], stored: StoredEpisodes, scenario: Scenario, confidence: float
+) -> Margins | None:
+    if not stored.margin_hits:
+        return None
+    search = None
+    if (budget := figures["margin_budget"]) is not None:
+        excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])
+        converged, sources = bool(figures["margin_converged"]), tuple(figures["margin_sources"] or ())
+        search = Search(budget, converged, excess, sources, figures["margin_how"] or "")
+    return Margins(stored.margin_hits, scenario.eta_max, search, confidence)
+
+
+def _stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float) -> Risks | None:
+    """Return the risk that the stored ends of its crossings give; None where the file has none.
+
+    Raises:
+        ValueError, LookupError: its arrays do not go together.
+    """
+    further, phis = stored.further, len(stored.safe)
+    if "risk_touch" not in further:
+        return None
+    scales = further["risk_scale"].tolist()
+    touches = further["risk_touch"].astype(np.int64).reshape(len(scales), -1)
+    ticks = further["risk_tick"].astype(np.int64).reshape(touches.shape)
+    lost = further["risk_lost"].tolist() if "risk_lost" in further else [0] * len(scales)
+    levels = further["risk_levels"].reshape(len(scales), -1)
+    shares = further["risk_share"].reshape(len(scales), -1, phis)
+    if not np.isin(touches, [*map(int, Touch)]).all():
+        raise ValueError("risk_touch has a value that this version does not know")
+    found = []
+    for row, scale in enumerate(scales):
+        per_level, subsets = int(further["risk_per_level"][row]), None
+        if per_level:
+            subsets = Subsets(shares[row], levels[row], per_level, int(further["risk_open"][row]))
+        found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence, ticks[row], lost[row]))
+    return Risks(figures["risk"]["behaviour"], found)
+
+
+_AGREE = 1e-7
+"""Relative to a figure, or to 1: what another machine's rounding may come to in an interval, which is searched for."""
+
+
+def differences(name: str, said: Any, found: Any) -> Iterator[str]:
+    """Yield, a line each, where two values of JSON differ by more than rounding."""
+    if isinstance(said, Mapping) and isinstance(found, Mapping):
+        for key in dict.fromkeys((*said, *found)):
+            yield from differences(f"{name}.{key}", said.get(key), found.get(key))
+    elif isinstance(said, list) and isinstance(found, list) and len(said) == len(found):
+        for place, (one, other) in enumerate(zip(said, found, strict=True)):
+            yield from differences(f"{name}.{place}", one, other)
+    elif not _alike(said, found):
+        yield f"{name} is {_shown(said)}, its episodes give {_shown(found)}"
+
+
+def _alike(said: Any, found: Any) -> bool:
+    if isinstance(said, float) or isinstance(found, float):
+        numbers = all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in (said, found))
+        return numbers and abs(said - found) <= _AGREE * max(1.0, abs(said), abs(found))
+    return bool(said == found)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"
 
 
 def write_assessment(folder: Path, assessment: Assessment) -> None:

@@ -13,7 +13,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, in_order, objective_results
 from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
-from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult, kamikaze_set
+from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, runs_along
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.measures import load_measures
@@ -93,7 +93,7 @@ def kamikaze_sets(
         for (index, _), log in zip(batch, logs, strict=True):
             tried[index].append(log)
             found[index] += plan.succeeds(log)
-    return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
+    return [KamikazeSet(trajectory, tuple(logs)) for trajectory, logs in zip(safe, tried, strict=True)]
 
 
 def bounded_trials(plan: Plan) -> int:

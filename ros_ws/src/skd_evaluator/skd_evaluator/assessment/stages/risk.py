@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
@@ -20,7 +20,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Role, generator
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, RiskRequest, Runner, stage
-from skd_evaluator.assessment.failures import Walkers, failures_of
+from skd_evaluator.assessment.failures import Failures, Walkers, failures_of
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.options import NO_BEHAVIOUR
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
@@ -209,7 +209,7 @@ def _failures(
     scales: Sequence[ScaleRisk],
     hits: Mapping[float, Mapping[int, EpisodeLog]],
     runner: Runner,
-) -> tuple[dict[str, Any] | None, dict[int, EpisodeLog]]:
+) -> tuple[Failures | None, dict[int, EpisodeLog]]:
     """Return the most likely failures and the logs of those that are kept; compiled crossings are run for these."""
     found = failures_of(scales, walkers_of(crossing_plan))
     if found is None:
@@ -226,7 +226,7 @@ def _failures(
                 f"of crossing {missed[0]} at scale {found.scale:g} command makes no hit and commands does: "
                 "both have to be the same car"
             )
-    return found.as_dict({row: log.impact_speed for row, log in logs.items()}), logs
+    return found.with_speeds({row: log.impact_speed for row, log in logs.items()}), logs
 
 
 def _subsets(

@@ -24,9 +24,8 @@ from skd_evaluator.assessment.options import GENERATED
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan
 from skd_evaluator.assessment.stages import safe_trajectories
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
-from skd_evaluator.metrics.clustered import Clustered
 from skd_evaluator.metrics.measures import load_measures
-from skd_evaluator.metrics.sample_size import UntilWidth, narrow_enough, nominal_confidence
+from skd_evaluator.metrics.sample_size import Look, UntilWidth, narrow_enough, nominal_confidence
 
 LOOKS = 10
 """Batches of φ at most."""
@@ -55,7 +54,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     safe: list[Trajectory] = []
     sets: dict[Objective, list[KamikazeSet]] = {one.objective: [] for one in plans}
     along: list[list[EpisodeLog]] = []
-    seen: list[tuple[int, Clustered | None]] = []
+    seen: list[Look] = []
     while True:
         done, count = len(safe), len(safe) + batch
         if known:
@@ -71,7 +70,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         nominal_runs = [runs[number] for number in range(each) for runs in along]  # dealt out, as in any assessment
         result = assessment_of(so_far, safe, sets, nominal_runs, confidence)
         found = result.for_deviation.deviation.clustered
-        seen.append((count, found))
+        seen.append(Look(count, found))
         if len(seen) == looks or narrow_enough(found, width):
             return replace(
                 assessment,

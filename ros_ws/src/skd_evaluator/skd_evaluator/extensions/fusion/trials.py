@@ -19,7 +19,7 @@ from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes
-from skd_evaluator.assessment.files.results import read_both
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.metrics.surrogate_measures import GRID, MOST, greatest_required_deceleration, least_clearance
 from skd_evaluator.metrics.surrogate_scenes import Interaction, Interactions, course_of, scene_of
@@ -220,7 +220,8 @@ def read_simulated(path: Path) -> Simulated:
     """
     if not path.is_dir():
         return Simulated(str(path), _by_phi(read_trials(table_in(path))))
-    result, stored = read_both(path)
+    result = read_result(path)
+    stored = result.episodes
     scenario = scenario_from_dict(result.figures["scenario"], f"scenario in {path / ASSESSMENT}")
     names = [str(name) for name in stored.further.get("safe_name", ())]
     if not names or len(set(names)) < len(names):

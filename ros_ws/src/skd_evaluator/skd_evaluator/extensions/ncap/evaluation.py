@@ -14,12 +14,13 @@ from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 
 from skd_evaluator.assessment.context import Progress
+from skd_evaluator.assessment.episode_figures import StaticTest
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import undisturbed_drives
 from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.assessment.stages.static_tests import StaticTest, static_episodes
+from skd_evaluator.assessment.stages.static_tests import static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.ncap.matrices import Criterion, ProtocolMatrix, colour_of, matrix_of
 from skd_evaluator.extensions.ncap.result import Grid, NcapCell

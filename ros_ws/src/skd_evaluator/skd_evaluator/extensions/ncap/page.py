@@ -11,7 +11,8 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import lineage
 
-from skd_evaluator.assessment.stages.static_tests import StaticTest, place_of
+from skd_evaluator.assessment.episode_figures import StaticTest
+from skd_evaluator.assessment.stages.static_tests import place_of
 from skd_evaluator.extensions.ncap import layout
 from skd_evaluator.extensions.ncap.evaluation import (
     KMH,

@@ -14,14 +14,13 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json, real_path
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
-from skd_sim.scenario.scenario import Scenario, scenario_from_dict
+from skd_sim.scenario.scenario import Scenario
 
-from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, failing_episodes
 from skd_evaluator.assessment.files.results import read_checked, result_folders
 from skd_evaluator.files import tails
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.formats import kept_failures
 
 
@@ -34,8 +33,8 @@ class Subject:
         label: name in the report, which no other assessment in it has.
         kind: kind of φ if the assessment is part of a sweep, else empty.
         figures: content of assessment.json.
-        scenario: scenario of the test.
         episodes: content of episodes.npz.
+        assessment: what follows from these.
         remarks: remarks on its figures, a line each.
     """
 
@@ -43,8 +42,8 @@ class Subject:
     label: str
     kind: str
     figures: Mapping[str, Any]
-    scenario: Scenario
     episodes: StoredEpisodes
+    assessment: Assessment
     remarks: tuple[str, ...] = ()
 
     @property
@@ -63,21 +62,22 @@ class Subject:
         """Remarks on its figures, and why they are not credible, a line each."""
         return [*self.remarks, *not_credible(self.figures["warnings"] or ())]
 
-    @cached_property
+    @property
     def curve(self) -> Mapping[str, Any] | None:
-        """The vulnerability curve: as assessment.json has it, else of its trajectories; None where no kamikaze ran."""
-        stored = self.figures["vulnerability_curve"]
-        if stored is not None:
-            return dict(stored)
-        groups = self.episodes.deviations_of(self.ranking_objective)
-        found = vulnerability_curve(groups, float(self.figures["eta_max"]))
-        return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "margins": None}
+        """The vulnerability curve; None where no kamikaze ran."""
+        found: Mapping[str, Any] | None = self.figures["vulnerability_curve"]
+        return found
 
-    @cached_property
+    @property
+    def scenario(self) -> Scenario:
+        """Scenario of the test."""
+        return self.assessment.plan.scenario
+
+    @property
     def margins(self) -> tuple[FloatArray, ...]:
         """Per φ what each trial of the margin counts as, m; none of each where it is not known."""
-        found = self.episodes.margins(float(self.figures["eta_max"]))
-        return (np.empty(0),) * len(self.episodes.safe) if found is None else found
+        margins = self.assessment.margins
+        return (np.empty(0),) * len(self.episodes.safe) if margins is None else margins.per_phi
 
     @cached_property
     def failing(self) -> StoredEpisodes:
@@ -141,13 +141,8 @@ def _read_campaign(folder: Path) -> list[Subject]:
 
 
 def _read(folder: Path, kind: str) -> Subject:
-    path = folder / ASSESSMENT
-    figures, episodes, remarks = read_checked(folder)
-    with understood(path):
-        scenario = scenario_from_dict(figures["scenario"], str(path))
-        subject = Subject(folder, str(figures["car"]), kind, figures, scenario, episodes, remarks)
-        _ = subject.curve  # it is found here that it cannot be had
-    return subject
+    figures, episodes, assessment, remarks = read_checked(folder)
+    return Subject(folder, str(figures["car"]), kind, figures, episodes, assessment, remarks)
 
 
 def _with_labels(subjects: Sequence[Subject]) -> list[Subject]:
