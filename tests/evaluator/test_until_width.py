@@ -37,7 +37,7 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     stop = found.until_width
     assert stop is not None
     assert (len(safe), len(stop.looks), stop.reached) == (2 * LOOKS, LOOKS, False)
-    assert [count for count, _ in stop.looks] == list(range(2, 2 * LOOKS + 1, 2))
+    assert [look.safe_count for look in stop.looks] == list(range(2, 2 * LOOKS + 1, 2))
     plan = replace(PLAN, safe_count=2 * LOOKS, collision_runs=2 * 2 * LOOKS)  # two runs along each, rounded up
     at_once = rate(plan, [Objective.DEVIATION], safe, InProcessRunner(1))
     contents = []
@@ -52,10 +52,10 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     for name in ("deviation", "deviation_ci95_trials", "contact_rate", "contact_rate_ci95_runs", "safe"):
         assert one[name] == other[name]
     groups = found.for_deviation.deviation.groups
-    for count, at_look in stop.looks:
-        expected = clustered_mean(groups[:count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0))
-        assert at_look == expected
-    assert one["deviation_ci95"] == stop.looks[-1][1].interval
+    for look in stop.looks:
+        expected = clustered_mean(groups[: look.safe_count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0))
+        assert look.found == expected
+    assert one["deviation_ci95"] == stop.looks[-1].interval
     low, high = one["deviation_ci95"]
     inner = other["deviation_ci95"]
     assert low < inner[0] < inner[1] < high

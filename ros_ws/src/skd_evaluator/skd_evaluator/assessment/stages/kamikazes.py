@@ -64,16 +64,15 @@ def run_bounded(context: Context, assessment: Assessment) -> Assessment:
 
 
 def kamikaze_sets(
-    plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress = silent, *, first: int = 0
+    plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress = silent
 ) -> list[KamikazeSet]:
     """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
 
     Args:
         plan: the campaign.
-        safe: Φ, or the part of it that follows on `first` others.
+        safe: Φ.
         runner: runs the episodes.
         progress: called with how far the work is.
-        first: number of the first φ.
     """
     tried: list[list[EpisodeLog]] = [[] for _ in safe]
     found = [0] * len(safe)
@@ -86,7 +85,7 @@ def kamikaze_sets(
             trials = len(tried[index])
             missing = min(plan.kamikaze_count - found[index], cap - trials)
             for trial in range(trials, trials + missing):
-                batch.append((index, plan.episode(Mode.KAMIKAZE, first + index, trial, trajectory)))
+                batch.append((index, plan.episode(Mode.KAMIKAZE, index, trial, trajectory)))
         if not batch:
             break
         logs = run_episodes(runner, [spec for _, spec in batch], label, progress, sum(found), total)

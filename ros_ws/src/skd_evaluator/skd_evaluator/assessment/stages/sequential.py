@@ -7,24 +7,20 @@ assessment of all φ so far, the same as if they had been asked for at once, exc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from skd_adversary.safe_trajectories.sources import count_safe_trajectories, load_safe_trajectories
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Objective
-from skd_sim.world.episode import EpisodeLog, Mode
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Runner, stage
-from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.options import GENERATED
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan
-from skd_evaluator.assessment.stages import safe_trajectories
-from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
-from skd_evaluator.metrics.measures import load_measures
+from skd_evaluator.assessment.stages import kamikazes, safe_trajectories
 from skd_evaluator.metrics.sample_size import Look, UntilWidth, narrow_enough, nominal_confidence
 
 LOOKS = 10
@@ -43,44 +39,41 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     width, plan = context.until_width, assessment.plan
     if width is None:
         return assessment
-    load_measures()
     batch = plan.safe_count
     if batch < 2:
         raise UsageError("--until-width needs two φ in each batch, to see how they differ: give --safe-count 2 or more")
     known, looks = _recorded(plan)
-    confidence = nominal_confidence(looks)
-    each = -(-plan.collision_runs // batch)
-    plans = [replace(plan, objective=objective) for objective in in_order(context.objectives)]
-    safe: list[Trajectory] = []
-    sets: dict[Objective, list[KamikazeSet]] = {one.objective: [] for one in plans}
-    along: list[list[EpisodeLog]] = []
+    confidence, each = nominal_confidence(looks), -(-plan.collision_runs // batch)
+    here = replace(context, runner=_Remembering(context.runner))
     seen: list[Look] = []
     while True:
-        done, count = len(safe), len(safe) + batch
-        if known:
-            safe = known[:count]
-        else:
-            more = safe_trajectories.run(context, replace(assessment, plan=replace(plan, safe_count=count)))
-            safe = list(more.safe)
-        for one in plans:
-            sets[one.objective] += kamikaze_sets(one, safe[done:], context.runner, context.progress, first=done)
-        along += _runs_along(plans[0], safe, done, each, context.runner)
-        context.progress("looks", len(seen) + 1, looks)
+        count = batch * (len(seen) + 1)
         so_far = replace(plan, safe_count=count, collision_runs=each * count)
-        nominal_runs = [runs[number] for number in range(each) for runs in along]  # dealt out, as in any assessment
-        result = assessment_of(so_far, safe, sets, nominal_runs, confidence)
+        result = replace(assessment, plan=so_far, safe=tuple(known[:count]), confidence=confidence)
+        for stage_of_batch in (safe_trajectories.run, kamikazes.run, kamikazes.run_nominal):
+            result = stage_of_batch(here, result)
         found = result.for_deviation.deviation.clustered
         seen.append(Look(count, found))
+        context.progress("looks", len(seen), looks)
         if len(seen) == looks or narrow_enough(found, width):
-            return replace(
-                assessment,
-                plan=result.plan,
-                safe=result.safe,
-                results=result.results,
-                nominal_runs=result.nominal_runs,
-                confidence=confidence,
-                until_width=UntilWidth(width, looks, confidence, tuple(seen)),
-            )
+            return replace(result, until_width=UntilWidth(width, looks, confidence, tuple(seen)))
+
+
+class _Remembering:
+    """Runs each episode once."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self._known: dict[tuple[object, ...], EpisodeLog] = {}
+
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
+        keys = [(one.mode, one.objective, one.episode_id) for one in episodes]
+        pairs = zip(keys, episodes, strict=True)
+        fresh = self._runner.run([one for key, one in pairs if key not in self._known])
+        for key in keys:
+            if key not in self._known:
+                self._known[key] = next(fresh)
+            yield self._known[key]
 
 
 def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
@@ -100,16 +93,3 @@ def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
         count
     )
     return [every[index] for index in order.tolist()], min(LOOKS, count // plan.safe_count)
-
-
-def _runs_along(
-    plan: Plan, safe: Sequence[Trajectory], first: int, each: int, runner: Runner
-) -> list[list[EpisodeLog]]:
-    """Run the car against an adversary that follows φ, for those from number `first` on; return the runs of each."""
-    episodes = [
-        plan.episode(Mode.REPLAY, index, trial, safe[index])
-        for index in range(first, len(safe))
-        for trial in range(each)
-    ]
-    logs = list(runner.run(episodes))
-    return [logs[start : start + each] for start in range(0, len(logs), each)]
