@@ -53,7 +53,9 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
         assert one[name] == other[name]
     groups = found.for_deviation.deviation.groups
     for look in stop.looks:
-        expected = clustered_mean(groups[: look.safe_count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0))
+        expected = clustered_mean(
+            groups[: look.safe_count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0)
+        )
         assert look.found == expected
     assert one["deviation_ci95"] == stop.looks[-1].interval
     low, high = one["deviation_ci95"]

@@ -121,7 +121,7 @@ def digest_of(files: Sequence[Path]) -> str:
     top = os.path.commonpath([file.parent for file in files])
     digest = hashlib.sha256()
     for file in files:
-        with suppress(OSError, UsageError):  # whoever has removed it meanwhile
+        with suppress(OSError, UsageError):  # it was removed meanwhile
             digest.update(os.fsencode(os.path.relpath(file, top)) + b"\0")
             digest.update(sha256_of(file).encode())
     return digest.hexdigest()
@@ -153,7 +153,7 @@ def _path_of_module(module: str) -> Path | None:
 def _path_named(word: str) -> Path | None:
     """Return the file or folder that a word of a command names, or what is behind its `=`; no program of the system."""
     for name in (word, word.rpartition("=")[2]):
-        with suppress(OSError, ValueError, RuntimeError):  # the last: of a home that nobody has
+        with suppress(OSError, ValueError, RuntimeError):  # the last: of a home that is not there
             path = Path(name).expanduser().absolute()
             if name and (path.is_dir() or path.is_file()) and path.parent.name != "bin":
                 return path
@@ -194,7 +194,7 @@ def provenance(command: Sequence[str], car: CarUnderTest, *, controller_command:
         "command": shlex.join(command),
         "folder": str(Path.cwd()),
         "git": git_revision(),
-        # Without a digest: somebody has removed it meanwhile.
+        # Without a digest: it was removed meanwhile.
         "controller_files": [{"path": path, "sha256": digest} for path, digest in digests.items() if digest],
         "controller_git": controller_revision(car, controller_command),
         "car_model_sha256": None,  # until it is known
@@ -240,7 +240,7 @@ def git_revision(file: Path = Path(__file__)) -> dict[str, Any] | None:
         file: a file of the code; by default SKD's own.
     """
     here, git = file.resolve().parent, shutil.which("git")
-    # An environment inside somebody else's checkout is not part of it: the file has to be tracked there.
+    # An environment inside another checkout is not part of it: the file has to be tracked there.
     if git is None or _git(git, here, "ls-files", "--error-unmatch", "--", file.name) is None:
         return None
     revision = _git(git, here, "rev-parse", "HEAD")

@@ -33,7 +33,7 @@ class Unsure:
     __array_ufunc__ = None  # NumPy leaves comparison and arithmetic to this class
 
     def __init__(self, value: float, name: str, worst: float | None, why: str) -> None:
-        """Take what the figure is, what it may be (None: nobody knows), and why."""
+        """Take what the figure is, what it may be (None: not known), and why."""
         self._value, self._name, self._worst, self._why = value, name, worst, why
 
     def __repr__(self) -> str:

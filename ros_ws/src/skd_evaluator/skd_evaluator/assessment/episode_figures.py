@@ -1,7 +1,7 @@
 """What single episodes say beside the planned figures: collision partner, surrogate measures, ages of commands.
 
-Surrogate measures depend on who walks: along φ nobody aims at the car, and kamikazes want to be hit. So the two are
-never put together, and nothing is rated by them.
+Surrogate measures depend on who walks: along φ no adversary aims at the car, and kamikazes want to be hit. So the two
+are never put together, and nothing is rated by them.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _others_in_last_tick(log: EpisodeLog) -> list[tuple[RoadUserState, RoadUserS
 
 
 def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place: FloatArray, heading: float) -> float:
-    """Return the distance of the car at a pose to somebody at a place (m) with a heading (rad), m."""
+    """Return the distance of the car at a pose to a road user at a place (m) with a heading (rad), m."""
     car = log.episode.scenario.car
     footprint, no_motion = (car.front, car.rear, car.half_width), np.zeros((1, 2))
     states, turned = np.array([[*pose, 0.0]]), np.array([heading])
@@ -290,7 +290,7 @@ _GENTLY, _ROOM = 2.0, 5.0  # m/s², m
 
 
 def standing(car: str, logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
-    """Return in a line that a car comes to stand far from everybody in nearly all runs along φ; empty if it does not.
+    """Return in a line that a car stands far from every road user in nearly all runs along φ; empty if it does not.
 
     It follows from what happened, so it is asked of recordings, too.
 
@@ -303,18 +303,18 @@ def standing(car: str, logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
     if not runs or still < _NEARLY_ALL * len(runs):
         return ()
     return (
-        f"{NOT_CREDIBLE}in {still} of {len(runs)} runs along φ {car} stood while everybody was more than "
+        f"{NOT_CREDIBLE}in {still} of {len(runs)} runs along φ {car} stood while every road user was more than "
         f"{_far(runs[0].episode.scenario):.0f} m away, and stayed there: {DRIVES_NOT}",
     )
 
 
 def _far(scenario: Scenario) -> float:
-    """Return from how far on a car has no need to slow down for anybody yet, m: it can still stop gently."""
+    """Return from how far on a car has no need to slow down yet, m: it can still stop gently."""
     return scenario.car.start_speed**2 / (2.0 * _GENTLY) + _ROOM
 
 
 def _stands_far_off(log: EpisodeLog) -> bool:
-    """Tell whether a car was slower than a hit begins from some tick to the end, and everybody was far away then."""
+    """Tell whether a car was slower than a hit begins from some tick to the end, far from every road user."""
     scenario = log.episode.scenario
     drives = np.flatnonzero(log.car[:, 3] >= scenario.collision.hit_speed)
     tick = int(drives[-1]) + 1 if drives.size else 0

@@ -1,6 +1,6 @@
 """The most likely failures: crude crossings of the risk in which the car hits, by what the walker did, nearest first.
 
-Why somebody is where the car hits is told by the walker's normals alone. Each of five groups of them (start, pace,
+Why the walker is where the car hits is told by the walker's normals alone. Each of five groups of them (start, pace,
 direction, doubt, sway; how restless a person is belongs to pace and doubt) is walked by itself, all others being 0: the
 group that takes the walker furthest from φ, at the end of the tick of the contact, names the failure.
 
@@ -8,7 +8,7 @@ How near a failure is to how people walk is told by nine independent standard no
 to the contact of the processes of pace, direction and doubt, each over its own standard deviation, and the sway at the
 contact. Thousands of normals of single ticks are not asked one by one: their density says how long a crossing is, and
 hardly anything else. The deviation is the distance of the nine from 0, times s; the greater the density, the less it
-is. Nothing here needs the car: whoever reads a result computes it anew from seed, φ and behaviour model.
+is. Nothing here needs the car: a reader of a result computes it anew from seed, φ and behaviour model.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class Walkers:
         return "sways"
 
     def _where(self, phi: FloatArray, doubting: FloatArray, whole: FloatArray, ticks: int) -> str:
-        """Return where somebody is whose doubt costs most in a tick: before the lane or in it."""
+        """Return where the walker is whose doubt costs most in a tick: before the lane or in it."""
         lost = [math.dist(_at(phi, tick), _at(phi, tick + 1)) for tick in range(ticks)]
         lost = [one - math.dist(_at(doubting, tick), _at(doubting, tick + 1)) for tick, one in enumerate(lost)]
         place = _at(whole, int(np.argmax(lost)))
@@ -197,7 +197,7 @@ class Walkers:
 
 
 def failures_of(scales: Sequence[ScaleRisk], walkers: Walkers) -> Failures | None:
-    """Return the failures at the least scale that has enough, else at that with most; None where nobody is hit.
+    """Return the failures at the least scale that has enough, else at that with most; None without a hit.
 
     Where it is not known when they are hit, as in files of older versions, there are none either.
     """

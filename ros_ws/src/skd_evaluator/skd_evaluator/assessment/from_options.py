@@ -218,7 +218,7 @@ def _paths(value: Any) -> Iterator[Path]:
 def _expanded(name: str) -> Path:
     try:
         return Path(name).expanduser()
-    except RuntimeError:  # of a home that nobody has
+    except RuntimeError:  # of a home that is not there
         return Path(name)
 
 

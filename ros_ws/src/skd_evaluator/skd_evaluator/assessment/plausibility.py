@@ -186,7 +186,7 @@ def follows_phi(episode: EpisodeSpec) -> bool:
 def _adversary(log: EpisodeLog, found: Recomputed) -> None:
     """Compare each step of the adversary with those that it can choose.
 
-    In real time a command is held until the next one comes, so whoever follows φ may go as φ did in another tick.
+    In real time a command is held until the next one comes, so one that follows φ may go as φ did in another tick.
     """
     episode, walked = log.episode, log.adversary
     scenario, ticks = episode.scenario, len(walked) - 1

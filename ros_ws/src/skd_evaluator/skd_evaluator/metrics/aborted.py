@@ -150,7 +150,7 @@ def too_many_aborted(figures: Figures, maximum: float) -> str | None:
 def at_worst(figures: Figures, name: str) -> Worst | None:
     """Return what a figure would be if the car had hit in every aborted episode; None where it would be the same.
 
-    Kamikazes would have hit without any deviation. Nobody knows what figures of other kinds would have been, as
+    Kamikazes would have hit without any deviation. What figures of other kinds would have been is not known, as
     impact speeds; nor do aborted kamikazes change a margin, which is searched for.
 
     Args:
@@ -180,7 +180,7 @@ def _counts(figures: Figures) -> Iterator[tuple[_Counts, Collection[str]]]:
     """Yield the counts of all figures that aborted episodes would have counted for, with the names of these."""
     along, phis = _lost_along(figures), figures.get("per_safe_trajectory") or ()
     yield _Counts(figures.get("collision_runs", 0), along, "runs along φ"), _ALONG
-    for number, one in enumerate(phis):  # nobody says on which φ they were aborted
+    for number, one in enumerate(phis):  # it is not known on which φ they were aborted
         runs = one.get("collision_runs", 0)
         yield _Counts(runs, along, "runs along φ"), [f"per_safe_trajectory.{number}.contact_rate"]
     for number, one in enumerate(_scales(figures)):
@@ -254,7 +254,7 @@ def _were(count: int) -> str:
 NOT_CREDIBLE: Final = "not credible: "
 """Begins a warning with which an assessment fails, no gate passes, and nothing is compared."""
 UNDISTURBED: Final = "undisturbed, "
-"""Begins a warning of a car that slows down for nobody, which a comparison repeats."""
+"""Begins a warning of a car that slows down on a free road, which a comparison repeats."""
 
 
 def not_credible(warnings: Iterable[object]) -> list[str]:

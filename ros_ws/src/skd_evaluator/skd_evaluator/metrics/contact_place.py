@@ -1,9 +1,9 @@
-"""Where the car is within a tick when it touches somebody: between its states at both ends of that tick.
+"""Where the car is within a tick when it touches a road user: between its states at both ends of that tick.
 
 A log has the car's states at ticks, and of a contact the time and the car's speed then. Adversary and others move
 uniformly within a tick, and so does a car that keeps to one command in it and has no tyres. One that decides in
 between, or whose brake comes on in between, does not: halfway through a tick in which it brakes hard it has more than
-half of its way behind it. Where it was follows from its speed. After a contact nobody decides until the tick ends
+half of its way behind it. Where it was follows from its speed. After a contact nothing is decided until the tick ends
 (`skd_sim.world.world`), so from there on its speed goes straight to the one at the end of the tick, and what it
 drives in that time is missing from the tick's way. Of a car with tyres neither part goes straight: by what the way is
 longer or shorter than both together, each of them is. A simulator that ends its tick with the contact leaves the way

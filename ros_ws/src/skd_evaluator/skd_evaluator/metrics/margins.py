@@ -1,8 +1,8 @@
-"""The margin of a car: the least deviation with which anybody could have been hit by the moving car, on average.
+"""The margin of a car: the least deviation with which a road user could have been hit by the moving car, on average.
 
 Each trial, a safe trajectory φ and one set of draws, has a least deviation of its own. It is clairvoyant: who walks
-that way knows beforehand how the car will be noisy. So the mean says how much room there is, and not how often somebody
-is hit. A trial in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`): the
+that way knows beforehand how the car will be noisy. So the mean says how much room there is, and not how often one
+is hit. A trial in which none can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`): the
 margin is the area above the curve of P(η), the share of trials whose margin is at most η.
 """
 
@@ -76,9 +76,9 @@ class Margins:
     """The hits of least deviation of all trials, and what is reported of them.
 
     Attributes:
-        hits: for each φ the hit of least deviation of each trial, in the order of their numbers; None: nobody can be
+        hits: for each φ the hit of least deviation of each trial, in the order of their numbers; None: none can be
             hit within η_max, or no hit was found.
-        eta_max: η_max, m: what a trial counts as in which nobody can be hit.
+        eta_max: η_max, m: what a trial without a hit counts as.
         search: how they were searched for; None: the margins are exact.
         confidence: confidence of the intervals over φ.
     """
@@ -90,7 +90,7 @@ class Margins:
 
     @cached_property
     def per_phi(self) -> tuple[FloatArray, ...]:
-        """Margin of each trial, per φ, m; η_max where nobody can be hit within it."""
+        """Margin of each trial, per φ, m; η_max without a hit within it."""
         return tuple(
             np.array([self.eta_max if hit is None else min(hit.distance, self.eta_max) for hit in hits])
             for hits in self.hits
@@ -142,7 +142,7 @@ class Margins:
 
     @property
     def curve(self) -> VulnerabilityCurve | None:
-        """The vulnerability curve: how often somebody who strays at most η could be hit."""
+        """The vulnerability curve: how often a road user who strays at most η could be hit."""
         return vulnerability_curve(self.per_phi, self.eta_max)
 
     @property
@@ -152,7 +152,7 @@ class Margins:
 
     @property
     def beyond(self) -> int:
-        """Trials in which nobody is hit within η_max, as far as was found."""
+        """Trials without a hit within η_max, as far as was found."""
         return sum(hit is None for hits in self.hits for hit in hits)
 
     def quantile(self, share: float) -> float:
@@ -161,7 +161,7 @@ class Margins:
 
     @property
     def impact_speed(self) -> dict[str, float] | None:
-        """Mean and 90 % quantile of the impact speeds, m/s; None where nobody is hit."""
+        """Mean and 90 % quantile of the impact speeds, m/s; None without a hit."""
         return impact_figures(self.impact_speeds)
 
 

@@ -95,7 +95,7 @@ class ScaleRisk(Entry):
         confidence: of the intervals by φ.
         ticks: of each crude run, until its end or the contact; None: not known.
         lost: crossings of subset simulation that were aborted, with which it ended: then there is no risk at this
-            scale. They are neither hits nor misses, and whoever ends just those that hit had none.
+            scale. They are neither hits nor misses, and a car that ends just those that hit would have none.
     """
 
     KEYS = "scale value ci95 ci95_by_phi method episodes gain runs hits flank standing aborted subset_aborted note"

@@ -30,7 +30,7 @@ from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.statistics import Interval, checked_confidence
 
 MOST = 10_000
-"""φ beyond which nobody is advised."""
+"""Greatest number of φ that is advised."""
 _MANY = 60
 """φ beyond which an interval with what was known beforehand is Student's, but for a percent."""
 _FEW_NODES, _FEW_WEIGHTS = np.polynomial.legendre.leggauss(16)

@@ -279,7 +279,7 @@ def _overlap(scene: Interaction, seen: FloatArray, cos: FloatArray, sin: FloatAr
 
 
 HORIZON = 20.0
-"""s beyond which nobody is foreseen to touch: at 100 km/h more than half a kilometre."""
+"""s beyond which no touch is foreseen: at 100 km/h more than half a kilometre."""
 
 
 def collision_times(scene: Interaction) -> FloatArray:
@@ -345,7 +345,7 @@ def brake_threat_numbers(scene: Interaction, deceleration: float) -> FloatArray:
 
 
 def headways(scene: Interaction) -> FloatArray:
-    """Return the time headway at each moment, n, s; infinite where nobody is ahead in the car's strip, or it stands."""
+    """Return the time headway at each moment, n, s; infinite where none is ahead in the car's strip, or it stands."""
     aside = np.abs(scene.seen[:, 1]) - scene.extent[:, 1]
     ahead = (scene.gap >= -_TOUCHING) & (aside < scene.footprint[2]) & (scene.car[:, 3] > 0.0)
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of speeds and gaps next to 0

@@ -1,1 +1,1 @@
-"""How likely the moving car hits somebody who walks a safe trajectory as people do: behaviour models, and the risk."""
+"""How likely the moving car hits a person who walks a safe trajectory as people do: behaviour models, and the risk."""

@@ -155,10 +155,10 @@ def ended(
     """Return how a crossing ended, a `Touch`, and the least time by which the front of the moving car missed, s.
 
     Args:
-        users: places of somebody at ticks, n × 2, m.
+        users: places of the walker at ticks, n × 2, m.
         cars: the car at ticks, as in `EpisodeLog`, n × 4.
         headings: of the car in each tick, n − 1, rad.
-        touched: whether the car touched somebody in the last tick, and not one of the others.
+        touched: whether the car touched the walker in the last tick, and not one of the others.
         passed: share of the last tick that counts: up to the contact, with whomever, or all of it.
         pose: of the car at the contact, m and rad.
         carried: whether that is not where it would be between both ends of the tick.
@@ -166,7 +166,7 @@ def ended(
         radius: of the disc, m.
         impact: speed of the car at the contact, m/s.
         hit_speed: of a hit, at the least, m/s.
-        same: how exactly it is known how far beside the car somebody is, m.
+        same: how exactly it is known how far beside the car the walker is, m.
         time_step: duration of a tick, s.
     """
     least, path, last = math.inf, np.empty((2, 4)), headings.shape[0] - 1
@@ -227,7 +227,7 @@ def crossing_numbers(episode: EpisodeSpec) -> CrossingNumbers:
 def cross(
     course: CrossingNumbers, track: FloatArray, count: int, gap: float, draws: FloatArray, path: FloatArray
 ) -> tuple[int, float, int]:
-    """Let the car meet somebody who walks a way.
+    """Let the car meet a person who walks a way.
 
     Args:
         course: the scenario.
@@ -338,7 +338,7 @@ class KnownCar:
 
 
 BLOCK: Final = 250
-"""Crossings side by side; the same whoever computes, so that no figure depends on that."""
+"""Crossings side by side; the same on every machine, so that no figure depends on that."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,10 @@
 """Crossings of which a risk is made: who walks, as which normals say, and what became of it.
 
 A crossing is a φ, a row of the walker's standard normals, and the draws of the car: a row of standard normals where all
-that the car does is known, else the number by which an episode draws them. Whoever runs crossings says how each ended
-and by how much time the front of the moving car missed: 0 where it hit, and more than that where it did not.
+that the car does is known, else the number by which an episode draws them. A model runs crossings and says how each
+ended and by how much time the front of the moving car missed: 0 where it hit, and more than that where it did not.
 
-With which side of the car somebody was touched, and by how much time a hit by its moving front was missed.
+With which side of the car the walker was touched, and by how much time a hit by its moving front was missed.
 """
 
 from __future__ import annotations
@@ -127,12 +127,12 @@ SAME: Final = 1e-6
 IN_A_CURVE: Final = 0.01
 """The same in a curve, whose arcs the contact test takes for chords."""
 _PARTS: Final = 4  # of a tick, at whose ends it is looked at by how much a hit is missed
-_SLOWEST: Final = 0.2  # m/s; somebody beside the car's way who stands, or goes away, counts as if walking there so
+_SLOWEST: Final = 0.2  # m/s; a walker beside the car's way who stands, or goes away, counts as if walking there so
 
 CREEPING: Final = 0.6
 """m/s; a car that is less than that faster than a hit counts as if it were so much faster.
 
-Else a car that rolls up to somebody is as far from a hit as one that stands, a hit by it is near nothing, and one that
+Else a car that rolls up to a walker is as far from a hit as one that stands, a hit by it is near nothing, and one that
 is found by luck stays in all levels: such replicates were seven times as large as others.
 """
 
@@ -141,7 +141,7 @@ is found by luck stays in all levels: such replicates were seven times as large 
 def in_car_frame(
     path: FloatArray, here: tuple[float, float], there: tuple[float, float], share: float
 ) -> tuple[float, float, float]:
-    """Return where somebody is in the car's frame at a share of the tick, and the car's speed there."""
+    """Return where the walker is in the car's frame at a share of the tick, and the car's speed there."""
     before, after = path[0], path[1]
     x, y = here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
     car_x, car_y = before[0] + share * (after[0] - before[0]), before[1] + share * (after[1] - before[1])
@@ -196,16 +196,16 @@ def missed_by(
     """Return the least time by which a disc misses the front of the moving car in a tick, s; infinity if it stands.
 
     Ahead that is the distance over how much faster than a hit the car is: of a car that brakes at b and comes to that
-    speed a distance m short of somebody it is never less than √(2m/b), or m over `CREEPING`, so that crossings are
+    speed a distance m short of a walker it is never less than √(2m/b), or m over `CREEPING`, so that crossings are
     ordered by m, and a car that creeps, and can stop at once, is far from a hit, though not out of reach of one. To the
-    side it is the distance over how fast the disc comes: whoever stands beside the way of the car, or has left it, is
-    far from a hit, however near.
+    side it is the distance over how fast the disc comes: a walker who stands beside the way of the car, or has left
+    it, is far from a hit, however near.
 
     It orders crossings by how near they are to a hit, and no more hangs on it: it is looked at some times in a tick.
 
     Args:
         path: of the car in the tick, its two ends, 2 × 4.
-        here: where somebody is when the tick begins, m.
+        here: where the walker is when the tick begins, m.
         there: and when it ends, m.
         until: share of the tick up to which to look.
         footprint: of the car: front, rear and half width, m.

@@ -63,7 +63,7 @@ class SubsetEffort:
 
 
 class AbortedCrossingsError(AssessmentError):
-    """Crossings of a simulation were aborted: nobody knows whether they are hits, and no estimate can leave them out.
+    """Crossings of a simulation were aborted: whether they are hits is not known, and no estimate can leave them out.
 
     Attributes:
         count: how many of those that were run together.
@@ -163,7 +163,7 @@ def replicate(
 def _begun(
     crossing_plan: CrossingPlan, model: CrossingModel, scale: float, count: int, rng: np.random.Generator
 ) -> tuple[Crossings, Ends]:
-    """Return the crossings of the first level, which nobody has chosen, and how they ended."""
+    """Return the crossings of the first level, which are not chosen, and how they ended."""
     phis = len(crossing_plan.safe)
     crossings = Crossings(
         (np.arange(count) + int(rng.integers(phis))) % phis,

@@ -163,7 +163,7 @@ def _definitions() -> dict[str, Any]:
 
 @functools.cache
 def assessment_schema() -> dict[str, Any]:
-    """Return the JSON Schema of assessment.json; nobody may change it."""
+    """Return the JSON Schema of assessment.json; it is not to be changed."""
     figures = _object(**dict(pair for one in AT_THE_TOP.values() for pair in one.schemas()))
     figures["required"] = [key for key in figures["required"] if key not in AT_THE_TOP or not AT_THE_TOP[key].optional]
     interrupted = {"const": True, "description": "only in what an interrupted command prints"}

@@ -139,7 +139,7 @@ class EpisodeStore:
         """Open it, or make it.
 
         Raises:
-            UsageError: it is damaged, of another version of SKD, or somebody else has it open.
+            UsageError: it is damaged, of another version of SKD, or another process has it open.
             StoreError: it cannot be written.
         """
         self._path = path
@@ -273,7 +273,7 @@ class EpisodeStore:
 
 
 def remove_files(path: Path) -> None:
-    """Delete a store of which nothing is wanted, if there is one; nobody has it open."""
+    """Delete a store of which nothing is wanted, if there is one; it is not open."""
     for suffix in ("-wal", "-shm", "-journal", ""):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
 

@@ -45,7 +45,7 @@ def write_episodes(path: Path | IO[bytes], assessment: Assessment) -> None:
     First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its trials, those that
     failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
     different objectives with one id have the same draws. Arrays that begin with `margin` are of the ways of least
-    deviation, which nobody has planned.
+    deviation, which were not planned.
     """
     plan, rows = assessment.plan, list[tuple[EpisodeLog, int, str]]()  # with the number of φ and the objective
     for index, phi in enumerate(assessment.safe):
@@ -150,7 +150,7 @@ def _contact(log: EpisodeLog) -> tuple[float, float]:
 def _beliefs(logs: Sequence[EpisodeLog]) -> npt.NDArray[np.float32]:
     """Return the adversary's belief of the car at each state; nan where there was none, or it is not known.
 
-    In millimetres, which is finer than anybody looks, a file of them is half as large.
+    In millimetres, finer than any use of it, a file of them is half as large.
     """
     nothing = (len(BelievedCar._fields),)
     parts = [np.full((len(log.car), *nothing), np.nan) if log.belief is None else log.belief for log in logs]
@@ -241,7 +241,7 @@ class StoredEpisodes:
         impact_time: time of the contact, s; nan without a collision.
         impact_speed: speed of the car at the contact, m/s; nan without a collision.
         hit_speed: speed of the car, m/s, from which on a collision is a hit.
-        margin_hits: per φ the trajectory of minimal deviation of each trial; None: nobody is hit within η_max.
+        margin_hits: per φ the trajectory of minimal deviation of each trial; None: no hit within η_max.
         belief: per episode n × 4 as in `skd_sim.world.episode.EpisodeLog`, nan where nothing is known; none
             where the file holds none.
         further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the

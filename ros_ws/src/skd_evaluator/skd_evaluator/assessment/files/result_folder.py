@@ -184,7 +184,7 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 
 
 def _lock(target: Path, option: str) -> int:
-    """Return a descriptor of a folder, which nobody else can lock as long as it is open."""
+    """Return a descriptor of a folder, locked as long as it is open."""
     descriptor = os.open(target, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

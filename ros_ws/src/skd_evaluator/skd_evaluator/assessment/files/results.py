@@ -44,7 +44,7 @@ class StoredResult:
         figures: content of its assessment.json.
         safe: positions of each φ, m.
         curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
-        groups: per φ, by figure: `margin`, of each trial in the order of their numbers, m, η_max where nobody can be
+        groups: per φ, by figure: `margin`, of each trial in the order of their numbers, m, η_max where none can be
             hit, and not there where the margin is not known; `deviation`, what each trial of the kamikazes counts
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
             SKD is of, m; `contact_rate`, 1 for each run along φ that collided, else 0, and `nominal_collision_rate`,
@@ -243,7 +243,7 @@ class _StoredPlan(Plan):
     plans: Mapping[str, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        pass  # its scenario is as it was run, and its car is nobody's
+        pass  # its scenario is as it was run, and its car is not run
 
     @property
     def limits_deviation(self) -> bool:

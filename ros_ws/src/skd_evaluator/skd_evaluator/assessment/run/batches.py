@@ -100,7 +100,7 @@ def _advance(
     noise: FloatArray,
     state: FloatArray,
 ) -> None:
-    """Advance an episode by a control period, or, with a contact, to the end of the tick: nobody decides after it."""
+    """Advance an episode by a control period, or, with a contact, to the end of the tick: none decides after it."""
     footprint, shape = numbers.footprint, (numbers.radius, 0.0, 0.0)
     step, periods = numbers.time_step, numbers.periods
     path = np.empty((2, 4))
@@ -311,8 +311,8 @@ def _confirm(episodes: Sequence[EpisodeSpec], requests: Sequence[_Request]) -> N
 def _moments(requests: Sequence[_Request], count: int, rng: np.random.Generator) -> IntArray:
     """Return a control period of each episode by lot, count × 2: its number, and the episode's place in it.
 
-    They are drawn of those in which the car moves towards somebody ahead of it, where there are any: what it does there
-    decides what becomes of the episode.
+    They are drawn of those in which the car moves towards a road user ahead of it, where there are any: what it does
+    there decides what becomes of the episode.
     """
     chosen, least = np.zeros((count, 2), np.int64), np.full(count, np.inf)
     for number, requested in enumerate(requests):

@@ -105,7 +105,7 @@ def _run(
 
 
 def _belief(believed: Sequence[BelievedCar], states: int) -> FloatArray | None:
-    """Return what was believed at each state, nan where nobody decided; None where nothing was believed."""
+    """Return what was believed at each state, nan where none was decided; None where nothing was believed."""
     if not believed:
         return None
     unknown = (math.nan,) * len(believed[0])

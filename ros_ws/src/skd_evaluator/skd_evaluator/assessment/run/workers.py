@@ -454,7 +454,7 @@ def _do_quietly(work: Callable[[], None], parent: int) -> None:
         os.dup2(nowhere, stream)
     try:
         work()
-    except BaseException:  # whoever waits does it again, and meets the error
+    except BaseException:  # the caller does it again, and meets the error
         os._exit(1)
 
 

@@ -169,7 +169,7 @@ def _recordings(
 
 
 SEED: Final = 2_718_281_828
-"""Of every draw; no campaign's, unless somebody asks for it."""
+"""Of every draw; no campaign's, unless it is asked for."""
 
 
 def own_trials(
@@ -338,7 +338,7 @@ def keep_model(folder: Path, car: FittedCar) -> bool:
         made = make_temporary(folder.parent)
         try:
             write_car_model(made / _MODEL, car)
-            if folder.is_dir():  # of somebody who learned it at the same time, or one that cannot be read
+            if folder.is_dir():  # of a run that learned it at the same time, or one that cannot be read
                 shutil.rmtree(folder, ignore_errors=True)
             made.rename(folder)
         finally:

@@ -5,7 +5,7 @@ SKD's own world and in lockstep an episode follows from its specification and th
 log. It does not if the car keeps something from one episode to the next, or draws from a generator of its own: then
 figures depend on the order of the episodes and on the number of workers.
 
-A car that does not drive hits nobody, and is none the safer for it. So a few drives have nobody near. What another
+A car that does not drive hits no road user, and is none the safer for it. So a few drives have none near. What another
 simulator says of the car is kept, and warned of.
 """
 
@@ -43,7 +43,7 @@ FEW_HITS: Final = 0.05
 DRIVES: Final = 5
 """Undisturbed drives."""
 _ALIKE = 1e-6  # m, m/s, s: what libraries that add up in several threads may differ by
-_KEEPS = 0.5  # share of its speed that a car keeps which nobody is in the way of, whatever its noise
+_KEEPS = 0.5  # share of its speed that a car keeps on a free road, whatever its noise
 _FAR = 1000.0  # m up the road, and as many beside it
 _SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
 _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
@@ -154,7 +154,7 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
 
 
 class Drive(NamedTuple):
-    """Speeds of a car that drove with nobody near.
+    """Speeds of a car that drove with no road user near.
 
     Attributes:
         first: speed at the beginning, m/s.
@@ -185,7 +185,7 @@ def undisturbed_drives(plan: Plan, runner: Runner) -> list[Drive]:
 
 
 def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
-    """Return in a line that a car slows down with nobody near; empty if it drives.
+    """Return in a line that a car slows down with no road user near; empty if it drives.
 
     The line begins with `NOT_CREDIBLE` where most of the drives end slower than a hit begins, or the car fails.
     """
@@ -210,7 +210,7 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
 
 
 def _undisturbed(plan: Plan, number: int) -> EpisodeSpec:
-    """Return an episode in which nobody is on the road, and the adversary stands a kilometre away."""
+    """Return an episode without road users on the road, and the adversary stands a kilometre away."""
     clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
     public = replace(clocked, others=())
     scenario = replace(public, car=replace(public.car, meet_safe_trajectory=False))

@@ -160,7 +160,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         failures, failing = _failures(crossing_plan, scales, hits, context.workers)
     except OutOfReachError:
         raise
-    except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
+    except AssessmentError as error:  # a car that fails only here has figures all the same
         return replace(assessment, risk_note=f"its crossings ended: {error}")
     return replace(assessment, risks=Risks(request.behaviour.as_dict(), scales, failures, failing))
 

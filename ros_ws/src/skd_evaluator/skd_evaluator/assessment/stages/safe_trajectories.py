@@ -97,7 +97,7 @@ def _safe_episode(plan: Plan, number: int) -> EpisodeSpec:
 
 
 def _walker(scenario: Scenario, seed: int, number: int) -> Trajectory:
-    """Return how somebody walks who means to go straight across, by the behaviour model, until arrival or horizon."""
+    """Return how a person walks who means to go straight across, by the behaviour model, until arrival or horizon."""
     adversary, ticks, step = scenario.adversary, scenario.ticks, scenario.time_step
     along = step * np.arange(ticks + 1)[:, None] * np.array([scenario.end.crossing * adversary.speed, 0.0])
     normals = generator(seed, number, Role.WALKER).standard_normal(normals_of(ticks))

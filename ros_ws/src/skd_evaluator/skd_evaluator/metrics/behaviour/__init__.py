@@ -1,4 +1,4 @@
-"""How people deviate from the way that they intend: models as data, and what somebody walks by one."""
+"""How people deviate from the way that they intend: models as data, and what a person walks by one."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ scale s multiplies all of them.
 
 Walking a way as people do: from standard normals to places at ticks, compiled.
 
-The normals of a crossing have names. One each for the person: `start` (when somebody sets off), `pace` (how fast the
+The normals of a crossing have names. One each for the person: `start` (when the person sets off), `pace` (how fast the
 person walks), `heading` (which way, beside the one intended) and `unrest` (how much the pace changes on the way). Then
 five for each tick: `pace`, `turn` and `doubt` drive three processes with a memory: the logarithm of the pace and the
 direction (Ornstein and Uhlenbeck 1930), and, smoother, the doubt that makes a person slow down, and stop, beyond a
@@ -194,7 +194,7 @@ def write_behaviour(path: Path, behaviour: Behaviour) -> None:
 OF_PERSON: Final = ("start", "pace", "heading", "unrest")
 OF_TICK: Final = ("pace", "turn", "doubt", "along", "across")
 FASTEST: Final = 12.0
-"""m/s; nobody has run faster (model/road_user/pedestrian.py)."""
+"""m/s; no person has run faster (model/road_user/pedestrian.py)."""
 _PERSON, _TICK = len(OF_PERSON), len(OF_TICK)
 _STEEPEST = 0.5 * math.pi
 
@@ -222,7 +222,7 @@ def _place(path: FloatArray, moment: float) -> tuple[float, float]:
 def smooth(now: float, past: float, keep: float, normal: float, tick: int) -> float:
     """Return the next value of a stationary process of variance 1 and of second order, both roots alike.
 
-    It has a velocity: nobody stops at once, as a process of first order would have it.
+    It has a velocity: a person does not stop at once, as a process of first order would have it.
     """
     if tick == 0:
         return normal
@@ -309,7 +309,7 @@ def walk_many(path: FloatArray, values: FloatArray, normals: FloatArray, time_st
 
 
 def walked(path: FloatArray, values: FloatArray, normals: FloatArray, scale: float, time_step: float) -> FloatArray:
-    """Return the places at ticks of somebody who walks a way; see `walk`."""
+    """Return the places at ticks of a person who walks a way; see `walk`."""
     ticks = (len(normals) - _PERSON) // _TICK
     track = np.empty((ticks + 1, 2))
     count: int = walk(np.ascontiguousarray(path), values, normals, scale, time_step, track)

@@ -8,7 +8,7 @@ test of each value (`inversion`).
 
 What tracks of people say about how they deviate: residuals of constant velocity, and other numbers of a group.
 
-The residual at a horizon is how far somebody is from where the velocity of the last tick would have brought them.
+The residual at a horizon is how far a person is from where the velocity of the last tick would have led.
 
 The interval of a behaviour model's parameter by inversion of a test: the values that the tracks do not reject.
 

@@ -34,7 +34,7 @@ TIME_STEP: Final = 0.3
 SHORTEST: Final = 11
 """Places of a track at the least: the longest horizon of a residual, and the velocity before it."""
 LONGEST: Final = 1000
-"""Places of a track at the most: five minutes of somebody's way. Groups of people are simulated of that length."""
+"""Places of a track at the most: five minutes. Groups of people are simulated of that length."""
 _STANDS, _GOES, _ASIDE = 0.5, 2.0, 0.5
 """m up to which a track goes nowhere, and from which on it has a direction; and cosine of the angle to x of one that
 goes along."""
@@ -45,7 +45,7 @@ _COLUMNS: Final = {"t": 1e12, "x": 1e6, "y": 1e6}
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """Somebody who was tracked.
+    """A person who was tracked.
 
     Attributes:
         recording: in which; tracks of one recording are held out together.
@@ -67,8 +67,8 @@ def read_tracks(paths: Sequence[Path], damage: Damage, kind: str = "pedestrian")
         kind: of road user; says how fast one can be.
 
     Raises:
-        UsageError: there is no such file, one cannot be read, there is no track long enough in it, or one that nobody
-            can have gone, has holes, is there twice, or does not go along x, as those of most have to.
+        UsageError: there is no such file, one cannot be read, there is no track long enough in it, or one that
+            no person can have gone, has holes, is there twice, or does not go along x, as those of most have to.
     """
     phis: dict[bytes, Tracked] = {}
     named = [(f"{path}: {one.name}", one) for path in paths for one in _tracks_of(path, damage, kind, phis)]
