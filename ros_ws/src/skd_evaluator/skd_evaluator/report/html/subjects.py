@@ -73,7 +73,7 @@ class Subject:
         """Scenario of the test."""
         return self.assessment.plan.scenario
 
-    @property
+    @cached_property
     def margins(self) -> tuple[FloatArray, ...]:
         """Per φ what each trial of the margin counts as, m; none of each where it is not known."""
         margins = self.assessment.margins
