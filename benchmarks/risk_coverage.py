@@ -152,7 +152,7 @@ def made(job: Job) -> tuple[CrossingPlan, Any]:
 def one_replicate(job: Job) -> Replicate:
     scenario, car = made(job)
     assert job.levels is not None
-    return replicate(scenario, car, job.case.scale, job.number, SubsetEffort(), job.levels)
+    return replicate(scenario, car, job.case.scale, SubsetEffort(), job.levels, job.number)
 
 
 def levels_for(job: Job) -> Levels:

@@ -170,8 +170,6 @@ def test_batch_in_one_array_equals_batch_in_a_list(dimension):
 def test_bad_curves_are_refused_by_name(bad, message):
     with pytest.raises(ValueError, match=message):
         discrete_frechet(bad, GOOD)
-    with pytest.raises(ValueError, match=rf"q.*{message}|{message}.*q"):
-        discrete_frechet(GOOD, bad)
     with pytest.raises(ValueError, match=message):
         discrete_frechet_pairs(bad, [GOOD])
     with pytest.raises(ValueError, match=r"others\[1\]"):

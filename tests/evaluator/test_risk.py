@@ -25,7 +25,6 @@ from skd_evaluator.risk.crossings import (
     CrossingPlan,
     Crossings,
     Ends,
-    missed_by,
     side_touched,
 )
 from skd_evaluator.risk.subset import SubsetEffort, gathered, levels_of, replicate
@@ -75,7 +74,7 @@ def simulated(here: CrossingPlan, car: KnownCar | Gauss, scale: float, effort: S
     """What subset simulation finds."""
     levels = levels_of(here, car, scale, effort)
     numbers = range(effort.replicates)
-    return gathered([replicate(here, car, scale, number, effort, levels) for number in numbers], effort)
+    return gathered([replicate(here, car, scale, effort, levels, number) for number in numbers], effort)
 
 
 class Gauss:
@@ -241,17 +240,7 @@ def test_the_command_reports_it_and_leaves_everything_else_alone(skd_here, here)
             np.testing.assert_array_equal(without[name], both[name])
 
 
-FOOTPRINT, RADIUS, HIT_SPEED, STEP = (2.25, 2.25, 0.9), 0.25, 0.556, 0.05
-
-
-def missed(car: np.ndarray, user: np.ndarray) -> float:
-    """Least over an episode, of places along North and speeds of the car, and places of somebody."""
-    least = math.inf
-    for tick in range(len(car) - 1):
-        path = np.array([[0.0, car[tick + end, 0], 0.5 * math.pi, car[tick + end, 1]] for end in (0, 1)])
-        here, there = tuple(user[tick]), tuple(user[tick + 1])
-        least = min(least, missed_by(path, here, there, 1.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP))
-    return least
+FOOTPRINT, RADIUS, HIT_SPEED = (2.25, 2.25, 0.9), 0.25, 0.556
 
 
 FRONT, ELSEWHERE, NO_HIT = 1, 2, 3

@@ -41,7 +41,6 @@ from skd_evaluator.metrics.measures import Measure, Pair
 
 _CHUNK = 4  # values; diagonals are widened to multiples of it, as the processor takes that many at once
 _NARROW_EVERY = 4  # diagonals; less often costs cells, more often costs looks at their ends
-NOT_FINITE = -1.0  # an answer for bad input; no distance is negative
 
 
 @kernel
@@ -323,19 +322,6 @@ def measure(p: FloatArray, flat: FloatArray, offsets: IntArray, order: IntArray,
         out[k] = np.sqrt(out[k])
 
 
-@kernel
-def measure_one(p: FloatArray, q: FloatArray) -> float:
-    """Return the distance of one pair, or NOT_FINITE."""
-    if not (all_finite(p) and all_finite(q)):
-        return NOT_FINITE
-    offsets = np.empty(2, np.int64)
-    offsets[0] = 0
-    offsets[1] = q.shape[0]
-    out = np.empty(1)
-    measure(p, q, offsets, np.zeros(1, np.int64), 1, out)
-    return out[0]  # type: ignore[no-any-return]
-
-
 _LANES = 8  # curves side by side: of 1, 2, 4, 8 and 16 the best or nearly so from 40 to 1,000 points
 
 
@@ -354,14 +340,7 @@ def discrete_frechet(p: npt.ArrayLike, q: npt.ArrayLike) -> float:
     Raises:
         ValueError: an array is empty, is not n × d, or has a value that is not finite, or the two d differ.
     """
-    first = _points(p, "p")
-    second = _points(q, "q")
-    if first.shape[1] != second.shape[1]:
-        raise ValueError(f"p has {first.shape[1]} coordinates a point, q has {second.shape[1]}")
-    distance = measure_one(first, second)
-    if distance == NOT_FINITE:
-        raise ValueError(f"{'q' if all_finite(first) else 'p'} has a coordinate that is not finite")
-    return distance
+    return float(discrete_frechet_pairs(p, [q])[0])
 
 
 def discrete_frechet_pairs(reference: npt.ArrayLike, others: Sequence[npt.ArrayLike] | FloatArray) -> FloatArray:

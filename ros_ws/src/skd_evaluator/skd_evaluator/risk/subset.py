@@ -125,7 +125,7 @@ def levels_of(crossing_plan: CrossingPlan, model: CrossingModel, scale: float, e
 
 
 def replicate(
-    crossing_plan: CrossingPlan, model: CrossingModel, scale: float, number: int, effort: SubsetEffort, levels: Levels
+    crossing_plan: CrossingPlan, model: CrossingModel, scale: float, effort: SubsetEffort, levels: Levels, number: int
 ) -> Replicate:
     """Run one simulation.
 
@@ -133,9 +133,9 @@ def replicate(
         crossing_plan: what the crossings share.
         model: runs them.
         scale: of the behaviour.
-        number: of the replicate, from which its draws follow.
         effort: how much.
         levels: as `levels_of` has found them.
+        number: of the replicate, from which its draws follow.
 
     Raises:
         AbortedCrossingsError: crossings of it were aborted.

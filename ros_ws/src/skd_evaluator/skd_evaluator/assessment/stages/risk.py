@@ -7,7 +7,8 @@ hits. Nothing in it depends on time or on who computes it: crude crossings draw 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -34,7 +35,6 @@ from skd_evaluator.risk.cars import AnyCar, KnownCar, batched_car, end_of
 from skd_evaluator.risk.crossings import CrossingModel, CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import (
     AbortedCrossingsError,
-    Levels,
     Replicate,
     SubsetEffort,
     gathered,
@@ -110,21 +110,6 @@ def draws_of(crossing_plan: CrossingPlan, crossings: Crossings) -> FloatArray:
         found[row, 0] = generator(seed, number, Role.START).random()
         found[row, 1:] = generator(seed, number, Role.CAR).random(count)
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class _ReplicateJob:
-    """A replicate of subset simulation of a car that is known, in whatever process."""
-
-    crossing_plan: CrossingPlan
-    scale: float
-    number: int
-    effort: SubsetEffort
-    levels: Levels
-
-
-def _do(job: _ReplicateJob) -> Replicate:
-    return replicate(job.crossing_plan, KnownCar(job.crossing_plan), job.scale, job.number, job.effort, job.levels)
 
 
 def warm_up_risk(plan: Plan) -> None:
@@ -243,13 +228,11 @@ def _subsets(
         AbortedCrossingsError: crossings of it were aborted.
     """
     found: list[Replicate] = []
+    model = KnownCar(crossing_plan) if other is None else other
+    levels = levels_of(crossing_plan, model, scale, effort)
+    one_of_them = partial(replicate, crossing_plan, model, scale, effort, levels)
     numbers = range(effort.replicates)
-    levels = levels_of(crossing_plan, KnownCar(crossing_plan) if other is None else other, scale, effort)
-    if other is None:
-        jobs = [_ReplicateJob(crossing_plan, scale, one, effort, levels) for one in numbers]
-        results: Iterator[Replicate] = runner.map(_do, jobs)
-    else:
-        results = (replicate(crossing_plan, other, scale, one, effort, levels) for one in numbers)
+    results = runner.map(one_of_them, numbers) if other is None else map(one_of_them, numbers)
     for count, one in enumerate(results, start=1):
         found.append(one)
         progress(f"{LABEL}, R({scale:g})", count, effort.replicates)
