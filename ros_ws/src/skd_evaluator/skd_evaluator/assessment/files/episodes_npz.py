@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
@@ -89,9 +89,11 @@ def write_probes(path: Path, logs: Sequence[EpisodeLog]) -> None:
 
 def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     """Return the arrays of episodes.npz that follow from logs alone, in their order."""
+    states = np.concatenate([np.empty((0, 4)), *(log.car for log in logs)])
     return {
         "positions": np.concatenate([np.empty((0, 2)), *(log.adversary for log in logs)]),
-        **_car_columns("", logs),
+        "car": states[:, [0, 1, 3]],
+        "heading": states[:, 2],
         "offsets": np.cumsum([0, *(len(log.adversary) for log in logs)], dtype=np.int64),
         "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
         "outcome": np.array([int(log.outcome) for log in logs], np.int8),
@@ -104,16 +106,9 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     }
 
 
-def _car_columns(prefix: str, logs: Sequence[EpisodeLog]) -> Columns:
-    """Return the car's states: reference point and speed in one array, heading in another."""
-    states = np.concatenate([np.empty((0, 4)), *(log.car for log in logs)])
-    return {f"{prefix}car": states[:, [0, 1, 3]], f"{prefix}heading": states[:, 2]}
-
-
-def _car_states(prefix: str, arrays: Mapping[str, Array]) -> FloatArray:
+def _car_states(arrays: Mapping[str, Array]) -> FloatArray:
     """Return the car's states as `EpisodeLog` has them."""
-    places, speeds = arrays[f"{prefix}car"][:, :2], arrays[f"{prefix}car"][:, 2]
-    return np.column_stack([places, arrays[f"{prefix}heading"], speeds])
+    return np.column_stack([arrays["car"][:, :2], arrays["heading"], arrays["car"][:, 2]])
 
 
 def _index_of(assessment: Assessment, log: EpisodeLog) -> int:
@@ -221,7 +216,12 @@ EPISODES = "episodes.npz"
 _ROUNDING = 1e-9  # m
 _OF_STATES = ("car", "heading", "belief")
 _OF_EPISODES = ("clipped", "reason", "own_contact")
-_PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
+_OF_FAILURES = ("positions", "car", "heading", "offsets", "impact_time", "impact_speed")
+_PER_EPISODE: dict[str, Any] = {
+    **dict.fromkeys(("mode", "safe_index", "outcome", "episode_id"), np.int64),
+    **dict.fromkeys(("impact_time", "impact_speed"), np.float64),
+    "objective": np.str_,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,34 +370,40 @@ def _stored(arrays: Mapping[str, Array]) -> StoredEpisodes:
     """
     if why := _mismatch(arrays):
         raise UsageError(why)
-    safe, rest = np.flatnonzero(arrays["mode"] == Mode.SAFE), np.flatnonzero(arrays["mode"] != Mode.SAFE)
-    spans = [slice(*ends) for ends in itertools.pairwise(arrays["offsets"].tolist())]
-
-    def each(states: Array, rows: IntArray) -> tuple[FloatArray, ...]:
-        return tuple(states[spans[row]] for row in rows)
-
-    found = {name: arrays[name][rest] for name in _PER_EPISODE}
-    phis = each(arrays["positions"], safe)
+    rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
+    phis = _taken(arrays, np.flatnonzero(arrays["mode"] == Mode.SAFE)).adversary
     further = {name: one for name, one in arrays.items() if name not in (*_PER_EPISODE, "positions", *_OF_STATES)}
-    stored = StoredEpisodes(
-        safe=phis,
-        time_step=float(arrays["time_step"]),
-        adversary=each(arrays["positions"], rest),
-        car=each(_car_states("", arrays), rest),
-        mode=found["mode"].astype(np.int64),
-        objective=found["objective"],
-        safe_index=found["safe_index"].astype(np.int64),
-        outcome=found["outcome"].astype(np.int64),
-        episode_id=found["episode_id"],
-        impact_time=found["impact_time"],
-        impact_speed=found["impact_speed"],
-        belief=each(arrays["belief"].astype(np.float64), rest) if "belief" in arrays else (),
-        hit_speed=float(arrays["hit_speed"]),
+    stored = _taken(
+        arrays,
+        rest,
+        phis,
         margin_hits=_margin_hits(arrays, phis),
         further={name: one[rest] if name in _OF_EPISODES else one for name, one in further.items()},
     )
     _ = stored.deviation  # a contact outside its last tick is found here
     return stored
+
+
+def _taken(
+    arrays: Mapping[str, Any], rows: Sequence[int] | IntArray, safe: tuple[FloatArray, ...] = (), **more: Any
+) -> StoredEpisodes:
+    """Return some of the episodes in the arrays of a file."""
+    chosen = np.asarray(rows, np.int64)
+    spans = [slice(*ends) for ends in itertools.pairwise(arrays["offsets"].tolist())]
+
+    def each(states: Array) -> tuple[FloatArray, ...]:
+        return tuple(states[spans[row]] for row in chosen)
+
+    return StoredEpisodes(
+        safe=safe,
+        time_step=float(arrays["time_step"]),
+        adversary=each(arrays["positions"]),
+        car=each(_car_states(arrays)),
+        belief=each(arrays["belief"].astype(np.float64)) if "belief" in arrays else (),
+        hit_speed=float(arrays["hit_speed"]),
+        **{name: arrays[name][chosen].astype(kind) for name, kind in _PER_EPISODE.items()},
+        **more,
+    )
 
 
 def _margin_hits(arrays: Mapping[str, Array], safe: Sequence[FloatArray]) -> tuple[tuple[Hit | None, ...], ...]:
@@ -445,16 +451,12 @@ def _mismatch(arrays: Mapping[str, Array]) -> str:
     return "" if (np.isfinite(speeds) & (speeds >= 0.0)).all() else "a collision has no impact speed"
 
 
-def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[Any]]:
+def failure_columns(failing: Mapping[int, EpisodeLog]) -> Columns:
     """Return the arrays of episodes.npz about the failures that are kept, in the order of their numbers."""
-    logs = [failing[row] for row in sorted(failing)]
+    columns = episode_columns([failing[row] for row in sorted(failing)])
     return {
         "risk_failure": np.array(sorted(failing), np.int64),
-        "risk_failure_positions": np.concatenate([np.empty((0, 2)), *(one.adversary for one in logs)]),
-        **_car_columns("risk_failure_", logs),
-        "risk_failure_offsets": np.cumsum([0, *(len(one.adversary) for one in logs)], dtype=np.int64),
-        "risk_failure_impact_time": np.array([one.impact_time for one in logs], np.float64),
-        "risk_failure_impact_speed": np.array([one.impact_speed for one in logs], np.float64),
+        **{f"risk_failure_{name}": columns[name] for name in _OF_FAILURES},
     }
 
 
@@ -468,28 +470,16 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
     Raises:
         ValueError, LookupError: the arrays do not go together.
     """
-    further, phis = stored.further, len(stored.safe)
+    further, phis, nothing = stored.further, len(stored.safe), episode_columns([])
     there = further["risk_failure"].tolist() if "risk_failure" in further else []
-    rows = there if order is None else list(order)
-    places = [there.index(row) for row in rows]
-    kept = {name: further.get(f"risk_failure_{name}", np.empty(0)) for name in ("impact_time", "impact_speed")}
-    spans, positions, car = [], np.empty((0, 2)), np.empty((0, 4))
-    if there:
-        ends = further["risk_failure_offsets"].tolist()
-        positions, car = further["risk_failure_positions"], _car_states("risk_failure_", further)
-        spans = [slice(ends[place], ends[place + 1]) for place in places]
-    return replace(
-        stored,
-        adversary=tuple(positions[one] for one in spans),
-        car=tuple(car[one] for one in spans),
-        mode=np.full(len(rows), int(Mode.REPLAY), np.int64),
-        objective=np.array([""] * len(rows), "U16"),
-        safe_index=np.array([row % phis for row in rows], np.int64),
-        outcome=np.full(len(rows), int(Outcome.COLLISION), np.int64),
-        episode_id=np.array([episode_id(EpisodeGroup.RISK, row % phis, row // phis) for row in rows], np.int64),
-        impact_time=kept["impact_time"][places],
-        impact_speed=kept["impact_speed"][places],
-        belief=(),
-        margin_hits=(),
-        further={},
-    )
+    columns = {name: further.get(f"risk_failure_{name}", nothing[name]) for name in _OF_FAILURES}
+    columns |= {
+        "mode": np.full(len(there), int(Mode.REPLAY)),
+        "objective": np.full(len(there), "", "U16"),
+        "safe_index": np.array([row % phis for row in there], np.int64),
+        "outcome": np.full(len(there), int(Outcome.COLLISION)),
+        "episode_id": np.array([episode_id(EpisodeGroup.RISK, row % phis, row // phis) for row in there], np.int64),
+        "time_step": np.array(stored.time_step),
+        "hit_speed": np.array(stored.hit_speed),
+    }
+    return _taken(columns, [there.index(row) for row in (there if order is None else order)], stored.safe)
