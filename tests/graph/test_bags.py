@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from bag_tools import Item, read_items, shuffled, write_items
 from graph_support import Campaign, assert_same_results, skd_here
-from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -43,10 +40,6 @@ def store() -> Typestore:
     for file in MESSAGES.glob("*.msg"):
         made.register(get_types_from_msg(file.read_text(), f"skd_msgs/msg/{file.stem}"))
     return made
-
-
-def files_of(campaign: Campaign) -> list[Path]:
-    return sorted(campaign.bags.rglob("*.mcap"))
 
 
 @pytest.fixture
@@ -138,23 +131,6 @@ def test_metadata_and_type_hashes_are_those_that_rosbags_computes(campaign: Camp
 
 def test_replay_of_the_folder(replays_the_same: Check, campaigns: dict[float, Campaign]) -> None:
     replays_the_same(campaigns[1.0].bags)
-
-
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD])
-def test_merged_shuffled_compressed_and_mixed(
-    replays_the_same: Check, campaign: Campaign, tmp_path: Path, store: Typestore, compression: CompressionType
-) -> None:
-    items = read_items(files_of(campaign))
-    latched = [item for item in items if item.topic == "/skd/episode"]
-    text = store.types["std_msgs/msg/String"]
-    chatter = store.serialize_cdr(text(data="/skd/episode"), "std_msgs/msg/String")
-    other = [
-        Item("/chatter", "std_msgs/msg/String", "string data\n", item.log_time, bytes(chatter)) for item in items[:50]
-    ]
-    other += [dataclasses.replace(item, topic="/other/odometry") for item in items if item.topic == "/ego/odometry"]
-    merged = tmp_path / "merged.mcap"
-    write_items(merged, shuffled([*items, *latched, *latched, *other]), compression=compression)
-    replays_the_same(merged)
 
 
 def test_two_campaigns_and_the_choice_between_them(

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import pytest
 import rclpy
-from bag_tools import read_items
 from common import new_domain, wait_until
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import AccelStamped, TwistStamped
@@ -23,6 +22,7 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
+from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -150,9 +150,10 @@ def run(evaluator: Any, domain: int, bags: Path, episodes: list[EpisodeSpec], be
     for log in logs[:-1]:
         (path,) = bags.glob(f"*_{log.episode.episode_id:016x}")
         content: Told = defaultdict(list)
-        for item in read_items(path.glob("*.mcap")):
-            message = deserialize_message(item.data, message_class(item.type_name))
-            content[item.topic].append((item.log_time, timeless(message)))
+        with AnyReader([path]) as reader:
+            for connection, logged, data in reader.messages():
+                message = deserialize_message(data, message_class(connection.msgtype))
+                content[connection.topic].append((logged, timeless(message)))
         contents.append(content)
     return Ran(logs[:-1], heard, contents)
 

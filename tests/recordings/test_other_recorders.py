@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
-from bag_forge import ADVERSARY, CAR, RESULT, Sent, campaign_messages, forged
+from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, campaign_messages, forged
+from mcap.writer import CompressionType
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.assessment.plan import Plan
@@ -170,3 +172,15 @@ def test_states_of_another_topic_are_not_mixed_in(sent: list[list[Sent]], record
     done = replay(recorded([*sent, extra]))
     assert done.err == ""
     assert done.episodes == right.episodes
+
+
+def test_neither_order_nor_compression_nor_what_is_said_again_matters(
+    sent: list[list[Sent]], recorded: Write, replay: Replay
+) -> None:
+    mixed = [one for episode in sent for one in episode]
+    mixed += [one for one in mixed if one.topic == EPISODE]
+    Random(0).shuffle(mixed)
+    done = replay(recorded([mixed], "mixed", compression=CompressionType.ZSTD, chunk_size=4096))
+    plain = replay(recorded(sent))
+    assert (done.code, done.episodes) == (0, plain.episodes)
+    assert done.result["warnings"] == plain.result["warnings"] == []
