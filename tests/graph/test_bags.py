@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,8 +29,6 @@ TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",
 }
 
-Check = Callable[..., None]
-
 
 @pytest.fixture(scope="module")
 def store() -> Typestore:
@@ -40,34 +37,6 @@ def store() -> Typestore:
     for file in MESSAGES.glob("*.msg"):
         made.register(get_types_from_msg(file.read_text(), f"skd_msgs/msg/{file.stem}"))
     return made
-
-
-@pytest.fixture
-def replays_the_same(campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Check:
-    """Check that `skd replay` of some paths gives the live assessment."""
-
-    def check(*paths: Path, live: Path = campaign.graph) -> None:
-        out = tmp_path / "replayed"
-        finished = skd_here(capsys, "replay", *paths, "--out", out)
-        assert finished.code == 0, finished.err
-        assert_same_results(out, live)
-
-    return check
-
-
-@pytest.fixture
-def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Check that `skd replay` refuses some paths with exit code 2, and return its one line."""
-
-    def check(*arguments: object) -> str:
-        finished = skd_here(capsys, "replay", *arguments, "--out", tmp_path / "refused")
-        assert finished.code == 2, finished
-        assert len(finished.lines) == 1, finished.err
-        assert "Traceback" not in finished.err
-        assert not (tmp_path / "refused").exists()
-        return finished.lines[0]
-
-    return check
 
 
 # --- other readers
@@ -129,24 +98,20 @@ def test_metadata_and_type_hashes_are_those_that_rosbags_computes(campaign: Camp
 # --- the same numbers
 
 
-def test_replay_of_the_folder(replays_the_same: Check, campaigns: dict[float, Campaign]) -> None:
-    replays_the_same(campaigns[1.0].bags)
-
-
-def test_two_campaigns_and_the_choice_between_them(
-    campaigns: dict[float, Campaign],
-    refused: Callable[..., str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+def test_each_of_several_campaigns_can_be_replayed(
+    campaigns: dict[float, Campaign], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    both = campaigns[0.5].bags, campaigns[1.0].bags
-    line = refused(*both)
-    assert "2 campaigns" in line
-    assert "--campaign" in line
-    assert "no-such" in refused(*both, "--campaign", "no-such")
-    names = line.split(": ")[-1].split(", ")
-    assert len(names) == 2
-    for name, live in zip(sorted(names), (campaigns[0.5], campaigns[1.0]), strict=True):
-        out = tmp_path / name
-        assert skd_here(capsys, "replay", *both, "--campaign", name, "--out", out).code == 0
-        assert_same_results(out, live.graph)
+    """A folder of one as it is; of two one is to be chosen."""
+    both, out = [one.bags for one in campaigns.values()], tmp_path / "alone"
+    assert skd_here(capsys, "replay", campaigns[1.0].bags, "--out", out).code == 0
+    assert_same_results(out, campaigns[1.0].graph)
+    for chosen, said in (((), "2 campaigns; choose one with --campaign: "), (("--campaign", "no-such"), "no-such")):
+        refused = skd_here(capsys, "replay", *both, *chosen, "--out", tmp_path / "refused")
+        assert refused.code == 2
+        (line,) = refused.lines
+        assert said in line
+        assert not (tmp_path / "refused").exists()
+    names = sorted(line.split(": ")[-1].removeprefix("the bags hold ").split(", "))
+    for name, live in zip(names, (campaigns[0.5], campaigns[1.0]), strict=True):
+        assert skd_here(capsys, "replay", *both, "--campaign", name, "--out", tmp_path / name).code == 0
+        assert_same_results(tmp_path / name, live.graph)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,9 +114,8 @@ def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
                 foreign.setdefault(one.campaign, []).append(index)
     for places in foreign.values():
         worst = max(places, key=lambda place: verdicts[place].deviation)
-        what = "1 episode" if len(places) == 1 else f"{len(places)} episodes"
         damage.warn(
-            f"{what} did not run in SKD's own world ({verdicts[worst].where} is off by "
+            f"{_episodes(places)} did not run in SKD's own world ({verdicts[worst].where} is off by "
             f"{verdicts[worst].deviation:.3g}, {found[worst].name}): another simulator's impacts are checked roughly"
         )
     return kept
@@ -123,17 +123,14 @@ def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
 
 SUMMARIES = ("probe.json", "assessment.json")
 """Files that say of which car the episodes beside them are."""
-_NAMES = {EpisodeGroup.KAMIKAZE: "kamikaze trials", EpisodeGroup.NOMINAL: "runs along φ"}
 
 
 def unfinished_episodes(ids: Iterable[int]) -> list[str]:
     """Return one line about episodes that were announced and never ended; nothing if there are none."""
     numbers = sorted(ids)
-    if not numbers:
-        return []
-    what = "1 episode" if len(numbers) == 1 else f"{len(numbers)} episodes"
-    first = ", ".join(str(number) for number in numbers[:5]) + (", …" if len(numbers) > 5 else "")
-    return [f"{what} left out, no result was recorded ({first}): did recording end before the episode?"]
+    first = ", ".join(map(str, numbers[:5])) + (", …" if len(numbers) > 5 else "")
+    said = f"{_episodes(numbers)} left out, no result was recorded ({first}): did recording end before the episode?"
+    return [said] if numbers else []
 
 
 def missing_episodes(
@@ -157,29 +154,26 @@ def missing_episodes(
         left_out: whether episodes are left out, so that sets are not what they were.
         which: which kamikazes these are, for the lines.
     """
-    names = {**_NAMES, EpisodeGroup.KAMIKAZE: _NAMES[EpisodeGroup.KAMIKAZE] + which}
-    trials: dict[EpisodeGroup, dict[int, set[int]]] = {stage: {} for stage in _NAMES}
+    kamikazes, nominal = defaultdict[int, set[int]](set), defaultdict[int, set[int]](set)
+    of_group = {EpisodeGroup.KAMIKAZE: kamikazes, EpisodeGroup.NOMINAL: nominal}
     for number in announced:
-        stage, index, trial = split_episode_id(number)
-        if stage in trials:
-            trials[stage].setdefault(index, set()).add(trial)
-    kamikazes = trials[EpisodeGroup.KAMIKAZE]
-    known = {index for of_stage in trials.values() for index in of_stage}
+        group, index, trial = split_episode_id(number)
+        if group in of_group:
+            of_group[group][index].add(trial)
+    known = {*kamikazes, *nominal}
     absent = _gaps(known)
     lines = [f"no recording has an episode of safe trajectory {absent}"] if absent else []
-    for stage, of_stage in trials.items():
-        gaps = {index: _gaps(numbers) for index, numbers in sorted(of_stage.items())}
-        lines += [
-            f"no recording has {names[stage]} {some} of safe trajectory {on}" for on, some in gaps.items() if some
-        ]
+    for name, found in ((f"kamikaze trials{which}", kamikazes), ("runs along φ", nominal)):
+        gaps = ((index, _gaps(found[index])) for index in sorted(found))
+        lines += [f"no recording has {name} {some} of safe trajectory {index}" for index, some in gaps if some]
     for index, count in sorted(reached.items()):
-        tried = len(kamikazes.get(index, ()))
+        tried = len(kamikazes[index])
         if not left_out and count < requested and tried < TRIALS_PER_REQUESTED * requested:
             lines.append(
-                f"the last {names[EpisodeGroup.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
-                f"collided in {tried}, of another {requested}"
+                f"the last kamikaze trials{which} of safe trajectory {index} were not recorded: {count} collided in "
+                f"{tried}, of another {requested}"
             )
-    runs = [len(trials[EpisodeGroup.NOMINAL].get(index, ())) for index in sorted(known)]
+    runs = [len(nominal[index]) for index in sorted(known)]
     if runs and not absent and (max(runs) - min(runs) > 1 or runs != sorted(runs, reverse=True)):  # dealt out in turns
         lines.append(f"the last runs along φ were not recorded: of one {min(runs)}, of another {max(runs)}")
     return lines
@@ -188,10 +182,12 @@ def missing_episodes(
 def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
     """Return what has to be said about episodes that do not count because they were aborted."""
     reasons = [log.reason for log in logs if log.outcome == Outcome.ABORTED]
-    if not reasons:
-        return []
-    what = "1 episode counts" if len(reasons) == 1 else f"{len(reasons)} episodes count"
-    return [f"{what} for nothing, aborted ({counts_in_words(reasons)})"]
+    verb = "counts" if len(reasons) == 1 else "count"
+    return [f"{_episodes(reasons)} {verb} for nothing, aborted ({counts_in_words(reasons)})"] if reasons else []
+
+
+def _episodes(found: Sized) -> str:
+    return "1 episode" if len(found) == 1 else f"{len(found)} episodes"
 
 
 def not_credible_beside(files: Iterable[Path]) -> list[str]:

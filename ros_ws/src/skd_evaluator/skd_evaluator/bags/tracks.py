@@ -98,20 +98,18 @@ class Track:
         count = len(self.times)
         if count < 2:
             raise UsageError(f"{self.where}: {count} position{'' if count == 1 else 's'}; a track has at least two")
-        given = (one for one in (self.times, self.places, self.headings, self.speeds) if one is not None)
-        if not all(np.isfinite(one).all() for one in given):
+        given = (self.times, self.places, self.headings, self.speeds)
+        if not all(one is None or np.isfinite(one).all() for one in given):
             raise UsageError(f"{self.where}: has a time, position, heading or speed that is no finite number")
         wrong = np.flatnonzero(np.diff(self.times) <= 0.0)
         if wrong.size:
             row = int(wrong[0])
             before, after = (self.origin + self.times[row : row + 2]).tolist()
             apart = float(np.hypot(*(self.places[row + 1] - self.places[row])))
-            raise UsageError(
-                f"{self.where}: is in two places, {apart:.3g} m apart, at {before:.2f} s (so at {wrong.size} of "
-                f"{count} positions)"
-                if before == after
-                else f"{self.where}: times fall from {before:.2f} to {after:.2f} s; they must increase"
-            )
+            why = f"times fall from {before:.2f} to {after:.2f} s; they must increase"
+            if before == after:
+                why = f"is in two places, {apart:.3g} m apart, at {before:.2f} s (at {wrong.size} of {count} positions)"
+            raise UsageError(f"{self.where}: {why}")
         if np.abs(self.places).max() > _FARTHEST:
             raise UsageError(f"{self.where}: has a position beyond {_FARTHEST:g} m: are positions in m?")
 
@@ -159,24 +157,15 @@ class Track:
             unit = ": are times in s?" if usual > 1.0 / _RATES[0] else ""
             return f"a position each {usual:.3g} s, longer than --longest-gap {longest:g} s{unit}"
         begin, end = (self.origin + self.times[row : row + 2]).tolist()
-        why = "".join(f"; {note}" for note in self.notes)
-        return (
-            f"a gap of {steps[row]:.2f} s, longer than --longest-gap {longest:g} s, from {begin:.2f} to {end:.2f} s"
-            f"{why}"
-        )
+        said = f"a gap of {steps[row]:.2f} s, longer than --longest-gap {longest:g} s, from {begin:.2f} to {end:.2f} s"
+        return "; ".join((said, *self.notes))
 
     def cut(self, begin: float | None, end: float | None) -> Track:
         """Return what of it is between two times on the file's clock, s; None: as far as it goes."""
         clock = self.origin + self.times
         rows = (clock >= (-math.inf if begin is None else begin)) & (clock <= (math.inf if end is None else end))
-        if rows.all():
-            return self
-        given = {
-            name: one[rows]
-            for name in ("times", "places", "headings", "speeds")
-            if (one := getattr(self, name)) is not None
-        }
-        return replace(self, **given)
+        names = ("times", "places", "headings", "speeds")
+        return replace(self, **{name: one[rows] for name in names if (one := getattr(self, name)) is not None})
 
     def placed(self, frame: RecordingFrame) -> Track:
         """Return it in the frame `map`."""
