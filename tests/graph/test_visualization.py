@@ -14,7 +14,7 @@ from skd_evaluator.assessment.run.assembly import Samples
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.ros.visualization import episode_markers, recorded_figures
 from skd_sim.ros.support import CLEARANCE, DEVIATION
-from skd_sim.scenario.road import HEADING_NORTH, ONCOMING, Lane, Road, road_pose
+from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import CarState
@@ -23,10 +23,12 @@ from visualization_msgs.msg import Marker
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
 
 
-def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[float, float]) -> dict[int, Marker]:
+def shown(
+    scenario: Scenario, car: tuple[float, float, float] | None, *walked: tuple[float, float]
+) -> dict[int, Marker]:
     samples = Samples()
     if car is not None:
-        samples.car[0] = CarState(*car, HEADING_NORTH, 5.0)
+        samples.car[0] = CarState(*car, 5.0)
     for stamp, place in enumerate(walked):
         samples.adversary[stamp] = place
     return {
@@ -53,10 +55,11 @@ def test_every_lane_is_shown_and_which_way_it_is_driven() -> None:
     assert Marker.LINE_LIST not in shown(CROSSING, None, (-3.5, 0.0))
 
 
-def test_the_car_is_turned_along_the_lane() -> None:
+def test_the_car_is_turned_as_it_is() -> None:
+    """And not along its lane: it may steer."""
     x, y, along = road_pose(RIGHT_TURN.road.line, -10.0)
-    car = shown(RIGHT_TURN, (x, y), (-3.5, 0.0))[Marker.CUBE]
-    assert heading(car) == pytest.approx(along)
+    car = shown(RIGHT_TURN, (x, y, along + 0.2), (-3.5, 0.0))[Marker.CUBE]
+    assert heading(car) == pytest.approx(along + 0.2)
     assert (car.pose.position.x, car.pose.position.y) == pytest.approx((x, y))  # of the middle, its reference point
     assert (car.scale.x, car.scale.y) == pytest.approx((4.5, 1.8))
 

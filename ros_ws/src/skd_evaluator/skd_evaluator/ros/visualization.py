@@ -16,9 +16,8 @@ from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.state_publisher import CAR_HEIGHT
 from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM, Moments
 from skd_sim.ros.to_messages import to_orientation, to_stamp
-from skd_sim.scenario.road import Road, road_pose, road_position
+from skd_sim.scenario.road import Road
 from skd_sim.scenario.road_user import Body, height_of
-from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import period_of, tick_stamp
@@ -96,32 +95,24 @@ def fixed_markers(episode: EpisodeSpec, stamp: int) -> list[Marker]:
     return markers
 
 
-def moving_markers(
-    scenario: Scenario,
-    place: tuple[float, float] | None,
-    walked: list[tuple[float, float]],
-    elapsed: float,
-    stamp: int,
-) -> list[Marker]:
-    """Return the markers of all that move, and of the path that the adversary has come.
+def moving_markers(episode: EpisodeSpec, samples: Samples, stamp: int) -> list[Marker]:
+    """Return the markers of all that move at simulation time `stamp` (ns), and of the path that the adversary has come.
 
-    Args:
-        scenario: scenario that gives the shapes.
-        place: place of the car's reference point, m; None where it is not known.
-        walked: places of the adversary up to now, m.
-        elapsed: time since the start of the episode, s.
-        stamp: time stamp of the markers, ns.
+    The car has none where its state is not known.
     """
-    first, car, line = _OBSTACLES + len(scenario.rectangles), scenario.car, scenario.road.line
+    scenario = episode.scenario
+    first, car = _OBSTACLES + len(scenario.rectangles), scenario.car
+    elapsed = 1e-9 * (stamp - min(samples.adversary, default=stamp))
+    walked = [samples.adversary[time] for time in sorted(samples.adversary) if time <= stamp]
     markers = [
         _user(first + index, stamp, palette.OBSTACLE, other, state[:2], state.heading)
         for index, (other, state) in enumerate(zip(scenario.others, scenario.others_after(elapsed), strict=True))
         if not other.stands
     ]
-    if place is not None:
-        heading = road_pose(line, road_position(line, *place)[0])[2]
+    if stamp in samples.car:
+        x, y, heading = samples.car[stamp][:3]
         ahead = 0.5 * (car.front - car.rear)
-        centre = (place[0] + ahead * math.cos(heading), place[1] + ahead * math.sin(heading), 0.5 * CAR_HEIGHT)
+        centre = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), 0.5 * CAR_HEIGHT)
         box = _marker(_CAR, Marker.CUBE, stamp, palette.CAR, alpha=0.9, heading=heading)
         markers.append(_box(box, centre, (car.front + car.rear, car.width, CAR_HEIGHT)))
     if walked:
@@ -134,10 +125,7 @@ def moving_markers(
 
 def episode_markers(episode: EpisodeSpec, samples: Samples, stamp: int, *, fixed: bool = True) -> MarkerArray:
     """Return the markers of an episode at simulation time `stamp` (ns), with those that stay or without."""
-    place = samples.car[stamp][:2] if stamp in samples.car else None
-    walked = [samples.adversary[time] for time in sorted(samples.adversary) if time <= stamp]
-    elapsed = 1e-9 * (stamp - min(samples.adversary, default=stamp))
-    moving = moving_markers(episode.scenario, place, walked, elapsed, stamp)
+    moving = moving_markers(episode, samples, stamp)
     return MarkerArray(markers=[*(fixed_markers(episode, stamp) if fixed else ()), *moving])
 
 
