@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -292,18 +293,54 @@ def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict(changes:
     ],
 )
 def test_the_verdict_names_the_price(first: tuple[float, float], second: tuple[float, float], verdict: str) -> None:
-    found = []
-    for margin, passed in (first, second):
-        runs = tuple(HarmlessRun("waits", passed, 6.0, 5.5, braked=False) for _ in range(60))
-        price = PriceOfCaution(runs).as_dict()
-        found.append(result(str(margin), values(1, shift=margin), price_of_caution=price))
+    found = [priced(str(margin), values(1, shift=margin), passed) for margin, passed in (first, second)]
     assert compare(*found).verdict == verdict
 
 
+def priced(name: str, margins: np.ndarray, passed: float = 6.0, **changes: Any) -> StoredResult:
+    runs = tuple(HarmlessRun("waits", passed, 6.0, 5.5, braked=False) for _ in range(60))
+    return result(name, margins, price_of_caution=PriceOfCaution(runs).as_dict(), **changes)
+
+
+@pytest.mark.parametrize(
+    ("shift", "spread", "second", "verdict"),
+    [
+        (0.0, 0.0, 5.0, "as safe, and 1.0 s quicker for each harmless road user"),
+        (0.0, 0.0, 7.5, "as safe, and 1.5 s slower for each harmless road user"),
+        (0.0, 0.0, 6.0, INCONCLUSIVE),  # no price tells them apart
+        (0.0, 0.3, 5.0, INCONCLUSIVE),  # nothing is known of their margins, which is not that they are the same
+        (-0.5, 0.0, 5.0, "less safe, and 1.0 s quicker for each harmless road user"),
+    ],
+)
+def test_who_is_as_safe_and_quicker_is_called_so(shift: float, spread: float, second: float, verdict: str) -> None:
+    other = values(1, shift=shift) + spread * np.random.default_rng(2).standard_normal((8, 1))
+    other += (values(1, shift=shift).mean() - other.mean()) if spread else 0.0
+    found = compare(priced("a", values(1)), priced("b", other, second))
+    assert found.verdict == verdict
+    assert found.differences["time_lost"].value == pytest.approx(second - 6.0)
+
+
+@pytest.mark.parametrize(
+    ("faster", "share", "withheld"), [(2.5, 1.0, True), (1.5, 1.0, False), (2.5, 0.98, True), (2.5, 0.8, False)]
+)
+@pytest.mark.parametrize("same", [True, False], ids=["draws", "others"])
+def test_a_car_that_is_hit_much_harder_is_not_called_safer(
+    faster: float, share: float, same: bool, withheld: bool
+) -> None:
+    rng, pair = np.random.default_rng(7), []
+    speeds = 4.0 + rng.random((8, 20)) if same else np.full((8, 20), 4.0)
+    harder = speeds + np.where(rng.permutation(160).reshape(8, 20) < 160 * share, faster, 0.0)
+    harder[:, 0] = np.nan  # nobody is hit there
+    for name, shift, impacts in (("a", 0.0, speeds), ("b", 1.0, harder)):
+        one = result(name, values(1, shift=shift), seed=0 if same or name == "a" else 1)
+        pair.append(replace(one, groups={**one.groups, "impact_speed": tuple(impacts)}))
+    for found, plain in ((compare(*pair), SAFER), (compare(*pair[::-1]), LESS_SAFE)):
+        assert found.verdict == (INCONCLUSIVE if withheld else plain)
+        assert any("of the impacts of b are harder by more than 2 m/s" in line for line in found.lines()) == withheld
+
+
 def test_an_upper_bound_of_a_car_that_does_not_get_past_is_no_safety() -> None:
-    stuck = PriceOfCaution((HarmlessRun("waits", HORIZON, 6.0, 5.5, braked=True),) * 60).as_dict()
-    quick = PriceOfCaution((HarmlessRun("waits", 6.0, 6.0, 5.5, braked=False),) * 60).as_dict()
-    one = result("a", values(1, shift=3.0), price_of_caution=stuck, margin_converged=False)
-    other = result("b", values(1), price_of_caution=quick, margin_converged=False)
+    one = priced("a", values(1, shift=3.0), HORIZON, margin_converged=False)
+    other = priced("b", values(1), margin_converged=False)
     assert compare(other, one).verdict == "leaves room only because it does not get past people"
     assert compare(one, other).verdict == "the other leaves room only because it does not get past people"

@@ -25,37 +25,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 COUNT = 20
 
-CARS = """
-class Car:
-    def reset(self, scenario, rng):
-        pass
-
-class Never(Car):
-    def command(self, car, adversary):
-        return 0.0
-
-class BrakesForEverybody(Car):
-    def command(self, car, adversary):
-        return -3.5 if adversary.y > car.y - 10.0 else 0.0
-
-class HalfSpeed(Car):
-    def command(self, car, adversary):
-        return max(-3.5, min(2.0, (25.0 / 6.0 - car.speed) / 0.3))
-
-class BrakesByTimeToCollision(Car):
-    def command(self, car, adversary):
-        gap = adversary.y - car.y - 2.25
-        if gap < 0.0 or car.speed <= 0.0:
-            return 0.0
-        time = gap / car.speed
-        return -7.0 if time < 1.4 and abs(adversary.x + adversary.vx * time) < 1.5 else 0.0
-
-class StopsForWhoIsNear(Car):
-    def command(self, car, adversary):
-        gap = adversary.y - car.y - 2.25
-        near = 0.0 < gap < 15.0 and abs(adversary.x) < 4.0
-        return -3.0 if near else max(0.0, min(2.0, 8.0 - car.speed))
-"""
+CARS = Path(__file__).parents[2] / "examples" / "price_of_caution" / "cars.py"
 
 
 class Recorded(InProcessRunner):
@@ -73,15 +43,8 @@ class Recorded(InProcessRunner):
         return found
 
 
-@pytest.fixture(scope="module")
-def cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("cars") / "cars.py"
-    path.write_text(CARS)
-    return path
-
-
 def price_of(controller: str, scenario: str = "crossing", runner: InProcessRunner | None = None) -> PriceOfCaution:
-    plan = Plan(controller=controller, scenario=load_scenario(scenario), safe_count=5, seed=3)
+    plan = Plan(controller=f"{CARS}:{controller}", scenario=load_scenario(scenario), safe_count=5, seed=3)
     with runner or InProcessRunner(1) as running:
         running.start([])
         found = price_of_caution(plan, safe_trajectories(plan, running), running, COUNT)
@@ -92,39 +55,38 @@ def price_of(controller: str, scenario: str = "crossing", runner: InProcessRunne
 @pytest.mark.parametrize(
     ("car", "lost", "needless", "deadlock"),
     [
-        ("Never", 0.0, 0.0, 0.0),
+        ("NeverBrakes", 0.0, 0.0, 0.0),
         ("BrakesByTimeToCollision", 0.0, 0.0, 0.0),
         ("HalfSpeed", 0.0, 0.0, 0.0),
         ("BrakesForEverybody", 24.3, 1.0, 1.0),
     ],
 )
-def test_the_price_of_a_car_is_what_its_rule_says(
-    cars: Path, car: str, lost: float, needless: float, deadlock: float
-) -> None:
-    found = price_of(f"{cars}:{car}")
+def test_the_price_of_a_car_is_what_its_rule_says(car: str, lost: float, needless: float, deadlock: float) -> None:
+    found = price_of(car)
     assert found.time_lost == pytest.approx(lost, abs=0.5 if lost else 0.0)
     assert (found.needless, found.deadlock) == (needless, deadlock)
     assert found.does_not_get_past == (deadlock == 1.0)
+    assert found.late == pytest.approx(found.time_lost + found.slow)
 
 
-def test_half_speed_is_slow_by_as_much_as_the_way_takes_at_full_speed(cars: Path) -> None:
-    found = price_of(f"{cars}:HalfSpeed")
+def test_half_speed_is_slow_by_as_much_as_the_way_takes_at_full_speed() -> None:
+    found = price_of("HalfSpeed")
     at_full = np.mean([one.unslowed for one in found.runs])
     braking = (25 / 3 - 25 / 6) / 3.5 * 0.25  # of the way gained until it is at half speed, s of full speed
     assert found.slow == pytest.approx(at_full - braking, abs=0.4)
 
 
-def test_a_car_that_stops_loses_time_beside_those_who_stand_near_its_lane_alone(cars: Path) -> None:
-    found = price_of(f"{cars}:StopsForWhoIsNear")
-    lost = {kind: [x.passed - x.undisturbed for x in found.runs if x.kind == kind] for kind in KINDS}
+def test_a_car_that_stops_loses_time_beside_those_who_stand_near_its_lane_alone() -> None:
+    found = price_of("StopsAndWaits")
+    lost = {kind: [one.lost for one in found.runs if one.kind == kind] for kind in KINDS}
     assert min(lost["waits"]) > 1.0
     assert max(lost["goes away"]) == 0.0
 
 
 @pytest.mark.parametrize("scenario", ["crossing", "cyclist", "child", "right_turn", "cpla"])
-def test_who_crosses_is_clear_of_the_undisturbed_car(cars: Path, scenario: str) -> None:
+def test_who_crosses_is_clear_of_the_undisturbed_car(scenario: str) -> None:
     runner = Recorded()
-    found = price_of(f"{cars}:Never", scenario, runner)
+    found = price_of("NeverBrakes", scenario, runner)
     assert not any(one.braked for one in found.runs)
     assert found.time_lost == pytest.approx(0.0, abs=1e-12)  # nobody was hit
     logs = [log for log in runner.logs if split_episode_id(log.episode.episode_id)[0] == EpisodeGroup.PRICE]
@@ -141,13 +103,12 @@ def test_who_crosses_is_clear_of_the_undisturbed_car(cars: Path, scenario: str) 
             assert not near.size or np.abs(near - tick).min() * step > CLEAR - 2 * step
 
 
-def test_where_phi_go_along_the_lane_nobody_crosses(cars: Path) -> None:
-    assert {one.kind for one in price_of(f"{cars}:Never", "cpla").runs} == set(KINDS[:3])
+def test_where_phi_go_along_the_lane_nobody_crosses() -> None:
+    assert {one.kind for one in price_of("NeverBrakes", "cpla").runs} == set(KINDS[:3])
 
 
-def test_one_worker_or_two_give_the_same_price(cars: Path) -> None:
-    controller = f"{cars}:StopsForWhoIsNear"
-    assert price_of(controller) == price_of(controller, runner=InProcessRunner(2))
+def test_one_worker_or_two_give_the_same_price() -> None:
+    assert price_of("StopsAndWaits") == price_of("StopsAndWaits", runner=InProcessRunner(2))
 
 
 @pytest.mark.parametrize(

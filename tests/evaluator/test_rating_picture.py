@@ -1,14 +1,25 @@
-"""Margin against risk: where cars stand, and that a car has one colour in every chart."""
+"""Margin against risk and against price: where cars stand, and that a car has one colour in every chart."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from cli_support import SMALL
 from matplotlib.image import imread
-from skd_evaluator.report.charts import charted, coloured, floor_of, rating_charts, vulnerability_chart
+from skd_evaluator.report.charts import (
+    charted,
+    coloured,
+    floor_of,
+    pareto,
+    price_chart,
+    priced_cars,
+    rated_cars,
+    rating_chart,
+    vulnerability_chart,
+)
 from skd_evaluator.report.html.subjects import read_subjects
 
 
@@ -21,11 +32,11 @@ def test_the_axis_ends_at_a_power_of_ten_below_every_risk(risks, floor):
 
 
 def test_cars_stand_where_their_results_say_and_a_line_joins_basic_ones(sweep):
-    ((heading, charts),) = rating_charts(read_subjects([sweep])[::-1])
+    ((heading, cars),) = rated_cars(read_subjects([sweep])[::-1])
     assert heading == ""
-    assert len(charts) == 3
     said = [json.loads(path.read_text()) for path in sorted(sweep.glob("synthetic/*/assessment.json"))]
-    line, points = charts[1]["layer"][0]["data"]["values"], charts[1]["layer"][-1]["data"]["values"]
+    chart = rating_chart(cars, 2.0)
+    line, points = chart["layer"][0]["data"]["values"], chart["layer"][-1]["data"]["values"]
     assert [row["C"] for row in line] == sorted(row["C"] for row in points) == [one["multiplier"] for one in said]
     assert [row["margin"] for row in line] == [one["margin"] for one in said]
     assert [row["value"] for row in line] == [one["risk_2"] for one in said]
@@ -36,11 +47,30 @@ def colours(chart: dict) -> dict[str, str]:
     return dict(zip(scales[0]["domain"], scales[0]["range"], strict=True))
 
 
+def test_the_pareto_line_joins_the_cars_that_no_cheaper_one_beats():
+    cars = [(3.0, 4.0), (1.0, 0.5), (2.0, 0.5), (2.5, 9.0), (3.0, 5.0), (0.5, -0.2), (3.5, 6.0)]
+    rows = [{"margin": margin, "y": price} for margin, price in cars]
+    assert [(row["margin"], row["y"]) for row in pareto(rows)] == [(0.5, -0.2), (2.0, 0.5), (3.0, 4.0), (3.5, 6.0)]
+
+
+def test_cars_that_do_not_get_past_stand_beside_the_line(sweep):
+    ((_, cars),) = priced_cars(read_subjects([sweep]))
+    runs = [{"kind": "waits", "passed": 30.0, "undisturbed": 6.0, "unslowed": 5.5, "braked": True}] * 60
+    price = {"runs": runs, "aborted": 0}
+    stuck = replace(cars[0], label="stuck", figures={**cars[0].figures, "price_of_caution": price, "margin": 4.9})
+    layers = price_chart([*cars, stuck])["layer"]
+    line, points, hollow = (layers[place]["data"]["values"] for place in (0, 3, 4))
+    assert {row["car"] for row in line} <= {row["car"] for row in points}
+    (row,) = [row for row in hollow if row["car"] == "stuck"]
+    assert (row["y"], row["lost"], row["note"]) == (24.5, 24.0, "does not get past people")
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_car_has_one_colour_in_every_chart(sweep, turned):
     cars = read_subjects([sweep])[:: -1 if turned else 1]
-    ((_, ratings),) = rating_charts(cars)
-    found = [colours(one) for one in (*ratings, vulnerability_chart(charted(cars)))]
+    ((_, rated),), ((_, priced),) = rated_cars(cars), priced_cars(cars)
+    charts = (rating_chart(rated, 1.0), price_chart(priced), vulnerability_chart(charted(cars)))
+    found = [colours(one) for one in charts]
     assert all(one == found[0] for one in found)
     assert len(set(found[0].values())) == len(cars)
     many = coloured([charted(cars)[0]] * 20)
@@ -54,6 +84,7 @@ def test_cars_of_one_scale_are_drawn_by_margin_and_risk(skd_here, here: Path, sw
     parts = [str(sweep / "synthetic" / f"C_{multiplier}") for multiplier in ("0.5", "1")]
     done = skd_here("compare", *parts, "--out", "both")
     assert done.returncode == 0, done.stderr
-    assert imread(here / "both" / "rating.png").shape[1] > 600
+    for name in ("rating.png", "price.png"):
+        assert imread(here / "both" / name).shape[1] > 600
     assert skd_here("compare", "other", parts[0], "--out", "unlike").returncode == 0
     assert not (here / "unlike" / "rating.png").exists()  # their φ differ

@@ -308,7 +308,8 @@ FIGURES = (
            _DEVIATION, better=_LESS, **_RATE, bare=True, source="success_rate",
            clustered=True, campaign=11, sweep=4, compare=16),
     Figure("equivalent_multiplier", NUMBER, _equivalent(""),
-           "C of the basic car with the same margin on the same φ; null beyond those compared, or not known",
+           "C of the basic car with the same margin on the same φ; null beyond those compared, or not known. "
+           "With C >= 1 that car itself does not get past people",
            label="equivalent multiplier C", better=_MORE, spoken=True, recomputed=False, summary=2, first=True,
            campaign=12, compare=8),
     Figure("equivalent_multiplier_text", TEXT_OR_NULL,

@@ -6,7 +6,7 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,13 +37,19 @@ def figure_limit(text: str) -> tuple[str, float]:
     raise argparse.ArgumentTypeError(f"must be FIGURE=NUMBER, as margin=0.8, got {text!r}")
 
 
-def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the conditions under which the exit code is 1, and the files that say which of them hold."""
+def add_limits(parser: argparse.ArgumentParser) -> Any:
+    """Add the limits of figures beyond which the exit code is 1; return their group."""
     group = parser.add_argument_group("gate")
     for side, example in (("below", "margin=0.8"), ("above", "contact_rate=0.05")):
         text = f"exit with 1 if this figure of assessment.json is {side} the number, as {example}. Can be repeated"
         limit: dict[str, Any] = {"type": figure_limit, "action": "append", "default": [], "metavar": "FIGURE=NUMBER"}
         group.add_argument(f"--fail-{side}", help=text, **limit)
+    return group
+
+
+def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the conditions under which the exit code is 1, and the files that say which of them hold."""
+    group = add_limits(parser)
     text = "exit with 1 if the car is less safe than in this earlier result, judged as skd compare does"
     group.add_argument("--fail-if-worse-than", type=Path, metavar="DIR", help=text)
     text = "write these conditions as JUnit XML. An error means that nothing can be said of the car"
@@ -140,7 +146,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     """
     from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
 
-    limits = _limits_of(arguments)
+    limits = limits_of(arguments)
     earlier = None
     if arguments.fail_if_worse_than is not None:
         from skd_evaluator.assessment.files.results import read_result
@@ -161,7 +167,24 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     return Gate(limits, earlier, files)
 
 
-def _limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
+def limit_failures(limits: Sequence[Limit], results: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return which figures of several cars are beyond their limits or not known, a line each.
+
+    Args:
+        limits: the limits.
+        results: content of assessment.json of each car, by name.
+    """
+    from skd_evaluator.assessment.compare.gate import check_limits
+
+    return [
+        f"gate: {name}: {one.name}: {'error' if one.error else 'failed'}, {one.text}"
+        for name, result in results.items()
+        for one in check_limits(result, limits)
+        if not one.passed
+    ]
+
+
+def limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
     """Return the limits that figures have to keep.
 
     Raises:

@@ -146,6 +146,11 @@ class Margins:
         return vulnerability_curve(self.per_phi, self.eta_max)
 
     @property
+    def impacts(self) -> tuple[FloatArray, ...]:
+        """Per φ the car's speed at the hit of each trial, m/s; nan without one."""
+        return tuple(np.array([math.nan if hit is None else hit.impact_speed for hit in hits]) for hits in self.hits)
+
+    @property
     def impact_speeds(self) -> FloatArray:
         """Speed of the car at the contact of each hit, m/s."""
         return np.array([hit.impact_speed for hits in self.hits for hit in hits if hit is not None])

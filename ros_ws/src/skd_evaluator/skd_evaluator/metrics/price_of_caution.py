@@ -7,15 +7,15 @@ drive on the empty road, and the price is what the two differ by.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.metrics.clustered import student_quantile
+from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.statistics import Interval, mean, sample_variance, wilson_interval
 
 HORIZON: Final = 30.0
@@ -45,6 +45,21 @@ class HarmlessRun(NamedTuple):
     unslowed: float
     braked: bool
 
+    @property
+    def lost(self) -> float:
+        """Time that the road user costs the car, s; below 0 where it is quicker than on the empty road."""
+        return self.passed - self.undisturbed
+
+    @property
+    def slow(self) -> float:
+        """Time by which the car is later than at its start speed on the empty road, s."""
+        return self.undisturbed - self.unslowed
+
+    @property
+    def late(self) -> float:
+        """Both together, s: what two cars differ by."""
+        return self.passed - self.unslowed
+
 
 @dataclass(frozen=True)
 class PriceOfCaution:
@@ -58,31 +73,35 @@ class PriceOfCaution:
     runs: tuple[HarmlessRun, ...]
     aborted: int = 0
 
-    @cached_property
-    def lost(self) -> FloatArray:
-        """Time that each run lost, s."""
-        return np.array([one.passed - one.undisturbed for one in self.runs])
-
     @property
     def time_lost(self) -> float:
         """Mean time lost in a harmless run, s."""
-        return mean(self.lost)
+        return mean([one.lost for one in self.runs])
 
     @property
     def time_lost_ci95(self) -> Interval | None:
         """95 % interval of it: draws are independent within each kind; None where a kind has a single run."""
-        return stratified_interval([one.kind for one in self.runs], self.lost)
+        return stratified_interval([one.kind for one in self.runs], np.array([one.lost for one in self.runs]))
 
     @property
     def slow(self) -> float:
         """Mean time by which the undisturbed car is later than at its start speed, s."""
-        return mean([one.undisturbed - one.unslowed for one in self.runs])
+        return mean([one.slow for one in self.runs])
 
     @property
     def slow_ci95(self) -> Interval | None:
         """95 % interval of it."""
-        values = np.array([one.undisturbed - one.unslowed for one in self.runs])
-        return stratified_interval([""] * len(values), values)
+        return stratified_interval([""] * len(self.runs), np.array([one.slow for one in self.runs]))
+
+    @property
+    def late(self) -> float:
+        """Mean time by which the car passes later than at its start speed, s: lost and slow together."""
+        return mean([one.late for one in self.runs])
+
+    @property
+    def late_ci95(self) -> Interval | None:
+        """95 % interval of it."""
+        return stratified_interval([one.kind for one in self.runs], np.array([one.late for one in self.runs]))
 
     @property
     def needless(self) -> float:
@@ -128,6 +147,35 @@ def stored_price(figures: Mapping[str, Any]) -> PriceOfCaution | None:
     """Return the price that the content of assessment.json has; None where it is not known."""
     entry = figures.get("price_of_caution")
     return entry and PriceOfCaution(tuple(HarmlessRun(**one) for one in entry["runs"]), entry["aborted"])
+
+
+def price_differences(first: Mapping[str, Any], second: Mapping[str, Any], confidence: float) -> dict[str, Difference]:
+    """Return how much more caution costs the second car, by figure; nothing where one of the prices is not known.
+
+    `late` is the time of passing itself, which a verdict names. Runs are paired where draws are the same.
+
+    Args:
+        first: content of an assessment.json.
+        second: the same of the other car.
+        confidence: of each interval.
+    """
+    prices = [price for price in (stored_price(first), stored_price(second)) if price is not None]
+    if len(prices) < 2:
+        return {}
+    same = first["seed"] == second["seed"] and len(prices[0].runs) == len(prices[1].runs)
+    paired = same and not any(one.aborted for one in prices)
+    values: dict[str, Callable[[HarmlessRun], float]] = {
+        "time_lost": lambda run: run.lost,
+        "slow": lambda run: run.slow,
+        "needless": lambda run: float(run.braked),
+        "deadlock": lambda run: float(run.passed >= HORIZON),
+        "late": lambda run: run.late,
+    }
+    found = {
+        name: difference(*([[of(run)] for run in one.runs] for one in prices), paired=paired, confidence=confidence)
+        for name, of in values.items()
+    }
+    return {name: one for name, one in found.items() if one is not None}
 
 
 def does_not_get_past(figures: Mapping[str, Any]) -> bool:

@@ -1,6 +1,6 @@
 """Charts, drawn by altair: for the page as the Vega-Lite that its script gives to Vega, else as PNG files.
 
-Vulnerability curves, several cars beside each other, and margin against risk. A car has one colour in all of them.
+Vulnerability curves, several cars beside each other, margin against risk and against price. A car has one colour.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from skd_evaluator import palette
 from skd_evaluator.assessment.compare.comparison import MARGIN
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, SHARE, Figure, shown_in
 from skd_evaluator.assessment.files.results import StoredResult
+from skd_evaluator.metrics.price_of_caution import stored_price
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 
@@ -336,7 +337,7 @@ def _comparison(cars: Sequence[ChartedCar], figure: Figure, named: str, *, again
     return _drawn(layers, 60 + _ROW * len(cars), f"{title}, with 95 % intervals")
 
 
-# --- margin against risk
+# --- margin against risk, and against the price of caution
 
 
 def has_risks(figures: Mapping[str, Any]) -> bool:
@@ -364,40 +365,44 @@ def floor_of(risks: Sequence[tuple[float, float, float]]) -> float:
     return float(10.0 ** (math.ceil(math.log10(max(LEAST, min(known, default=0.1))) - 1e-9) - 1))
 
 
-def alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether the risks and margins of two results are of one behaviour model and one η_max."""
-    models = [found["risk"]["behaviour"] if found.get("risk") else None for found in (one, other)]
-    return models[0] == models[1] and one["eta_max"] == other["eta_max"]
+def one_model(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return whether the risks of two results are of one behaviour model."""
+    return bool(one["risk"]["behaviour"] == other["risk"]["behaviour"])
 
 
-def rating_charts(subjects: Sequence[Subject]) -> list[tuple[str, list[Spec]]]:
-    """Return for each set of cars that can be compared a heading, empty for one set, and a chart for each scale.
+def has_price(figures: Mapping[str, Any]) -> bool:
+    """Return whether a result has a margin, and a price of caution."""
+    return figures["margin"] is not None and figures.get("price_of_caution") is not None
 
-    Cars can be compared that are rated on the same φ, with one behaviour model.
-    """
+
+Headed = tuple[str, list[ChartedCar]]
+
+
+def rated_cars(subjects: Sequence[Subject]) -> list[Headed]:
+    """Return the sets of cars whose risks can be compared, rated on the same φ with one behaviour model."""
+    known = [one for one in subjects if has_risks(one.figures)]
+    return _sets(subjects, known, [json.dumps(one.figures["risk"]["behaviour"], sort_keys=True) for one in known])
+
+
+def priced_cars(subjects: Sequence[Subject]) -> list[Headed]:
+    """Return the sets of cars whose margins and prices of caution can be compared, rated on the same φ."""
+    known = [one for one in subjects if has_price(one.figures)]
+    return _sets(subjects, known, [""] * len(known))
+
+
+def _sets(subjects: Sequence[Subject], known: Sequence[Subject], models: Sequence[str]) -> list[Headed]:
+    """Return sets of at least two cars, each with a heading, which is empty where there is a single set."""
+    cars = dict(zip(map(id, subjects), charted(subjects), strict=True))
     groups: dict[tuple[object, ...], list[ChartedCar]] = {}
-    for one, car in zip(subjects, charted(subjects), strict=True):
-        if has_risks(one.figures):
-            model = json.dumps(one.figures["risk"]["behaviour"], sort_keys=True)
-            groups.setdefault((one.safe_key, one.figures["eta_max"], model), []).append(car)
+    for one, model in zip(known, models, strict=True):
+        groups.setdefault((one.safe_key, one.figures["eta_max"], model), []).append(cars[id(one)])
     shown = [members for members in groups.values() if len(members) > 1]
-    return [
-        (
-            f"{members[0].kind or members[0].figures['safe']} φ" if len(shown) > 1 else "",
-            [rating_chart(members, scale) for scale in SCALES],
-        )
-        for members in shown
-    ]
-
-
-def save_rating(path: Path, cars: Sequence[ChartedCar]) -> None:
-    """Save margin against the risk at each scale; a line joins the basic cars where there are several."""
-    charts = [rating_chart(cars, scale) for scale in SCALES]
-    save_charts(path, charts, "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below")
+    several = len(shown) > 1
+    return [(f"{one[0].kind or one[0].figures['safe']} φ" if several else "", one) for one in shown]
 
 
 def save_comparison(folder: Path, results: Mapping[str, StoredResult], ranked_by: str | None) -> None:
-    """Save the pictures of results by the names of their cars: vulnerability curves, and margin against risk.
+    """Save the pictures of results by the names of their cars: curves, and margin against risk and against price.
 
     Args:
         folder: of the pictures.
@@ -417,50 +422,103 @@ def save_comparison(folder: Path, results: Mapping[str, StoredResult], ranked_by
     cars = coloured(cars)
     if ranked_by is not None:
         save_vulnerability(folder / "vulnerability.png", cars)
-    same = all(alike(first.figures, one.figures) and first.same_safe(one.safe) for one in results.values())
-    if by_margin and same and all(has_risks(one.figures) for one in cars):
-        save_rating(folder / "rating.png", cars)
+    same = by_margin and all(
+        first.figures["eta_max"] == one.figures["eta_max"] and first.same_safe(one.safe) for one in results.values()
+    )
+    if same and all(has_risks(one.figures) and one_model(first.figures, one.figures) for one in cars):
+        title = "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below"
+        save_charts(folder / "rating.png", [rating_chart(cars, scale) for scale in SCALES], title)
+    if same and all(has_price(one.figures) for one in cars):
+        save_charts(folder / "price.png", [price_chart(cars)], f"Margin against the price of caution.\n{PRICE_CAPTION}")
 
 
 def rating_chart(cars: Sequence[ChartedCar], scale: float) -> Spec:
-    """Return the chart of margin against the risk at a scale, of cars that have both."""
+    """Return the chart of margin against the risk at a scale, of cars that have both; a line joins basic cars by C."""
     floor = floor_of([risk_of(one.figures, scale) for one in cars])
-    rows = [_rated(one, scale, floor) for one in cars]
+    rows = []
+    for one in cars:
+        value, low, high = risk_of(one.figures, scale)
+        risk = {"y": max(floor, value), "y_low": max(floor, low), "y_high": max(floor, high), "value": value}
+        rows.append({**_margin_row(one), **risk, "interval": f"{low:.2g} to {high:.2g}"})
+    basic = {row["C"]: row for row in rows if row["C"] is not None}
+    line = [{**basic[multiplier], "order": multiplier} for multiplier in sorted(basic)] if len(basic) > 1 else []
     decades = [float(f"1e{power}") for power in range(round(math.log10(floor)), 1)]
-    x, left = (alt.X(f"{name}:Q", title="margin (m)").scale(zero=True).axis(tickCount=5) for name in ("margin", "low"))
-    y, below = (
+    y, low_end = (
         alt.Y(f"{name}:Q", title=f"R({scale:g})")
         .scale(type="log", domain=[floor, 1.0], clamp=True)
         .axis(format="~g", values=decades)
-        for name in ("risk", "risk_low")
+        for name in ("y", "y_low")
     )
     said = _tooltip(car="car", margin=("margin (m)", ".3f"), value=("risk", ".2~g"), interval="95 %")
-    basic = {row["C"]: row for row in rows if row["C"] is not None}
-    line = [basic[multiplier] for multiplier in sorted(basic)] if len(basic) > 1 else []
-    base = _of(rows).encode(color=_colour(cars))
-    layers = [
-        _of(line).mark_line(strokeWidth=1.2, color=palette.BEHIND).encode(x=x, y=y, order="C:Q"),
-        base.mark_rule(strokeWidth=2).encode(x=left, x2="high:Q", y=y),
-        base.mark_rule(strokeWidth=2).encode(x=x, y=below, y2="risk_high:Q"),
-        base.mark_point(filled=True, size=75, opacity=1).encode(x=x, y=y, shape=_shape(cars), tooltip=said),
-    ]
+    joined = _of(line).mark_line(strokeWidth=1.2, color=palette.BEHIND)
+    layers = _against_margin(cars, rows, [], joined, y, low_end, said)
     return _drawn(layers if line else layers[1:], 280, f"Margin against R({scale:g}), with 95 % intervals")
 
 
-def _rated(one: ChartedCar, scale: float, floor: float) -> dict[str, Any]:
-    value, low, high = risk_of(one.figures, scale)
+PRICE_CAPTION: Final = (
+    "Grey: the best margin for each price. Hollow: cars that do not get past people, or whose margin is an upper bound"
+)
+
+
+def price_chart(cars: Sequence[ChartedCar]) -> Spec:
+    """Return the chart of margin against the price of caution, of cars that have both, with the Pareto line."""
+    rows: list[dict[str, Any]] = []
+    left_out: list[dict[str, Any]] = []
+    for one in cars:
+        price = stored_price(one.figures)
+        assert price is not None
+        low, high = price.late_ci95 or (price.late, price.late)
+        note = "does not get past people" if price.does_not_get_past else ""
+        note = note or ("margin at most" if one.figures["margin_converged"] is False else "")
+        late = {"y": price.late, "y_low": low, "y_high": high, "lost": price.time_lost, "slow": price.slow}
+        (left_out if note else rows).append({**_margin_row(one), **late, "note": note or "–"})
+    title = "later past a harmless road user than at the start speed (s)"
+    y, low_end = (alt.Y(f"{name}:Q", title=title) for name in ("y", "y_low"))
+    said = _tooltip(
+        car="car", margin=("margin (m)", ".3f"), y=("price (s)", ".2f"), lost=("time lost (s)", ".2f"),
+        slow=("slow by (s)", ".2f"), note="note",
+    )  # fmt: skip
+    line = _of({**row, "order": row["margin"]} for row in pareto(rows)).mark_line(
+        strokeWidth=1.5, color=palette.BEHIND, interpolate="step-before"
+    )
+    layers = _against_margin(cars, rows, left_out, line, y, low_end, said)
+    return _drawn(layers, 320, "Margin against the price of caution, with 95 % intervals")
+
+
+def pareto(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the cars that no other one beats in margin without a higher price, the cheapest first."""
+    found: list[Mapping[str, Any]] = []
+    for row in sorted(rows, key=lambda one: (one["y"], -one["margin"])):
+        if not found or row["margin"] > found[-1]["margin"]:
+            found.append(row)
+    return found
+
+
+def _margin_row(one: ChartedCar) -> dict[str, Any]:
     margin = float(one.figures["margin"])
-    ends = one.figures["margin_ci95"] or (margin, margin)
+    low, high = one.figures["margin_ci95"] or (margin, margin)
     car = CarUnderTest(str(one.figures["controller"]))
-    return {
-        "car": one.label,
-        "C": one.figures["multiplier"] if car.is_known and car.has_multiplier else None,
-        "margin": margin,
-        "low": ends[0],
-        "high": ends[1],
-        "value": value,
-        "risk": max(floor, value),
-        "risk_low": max(floor, low),
-        "risk_high": max(floor, high),
-        "interval": f"{low:.2g} to {high:.2g}",
-    }
+    multiplier = one.figures["multiplier"] if car.is_known and car.has_multiplier else None
+    return {"car": one.label, "C": multiplier, "margin": margin, "low": low, "high": high}
+
+
+def _against_margin(
+    cars: Sequence[ChartedCar],
+    rows: Sequence[Mapping[str, Any]],
+    hollow: Sequence[Mapping[str, Any]],
+    line: alt.Chart,
+    y: alt.Y,
+    low_end: alt.Y,
+    said: Sequence[alt.Tooltip],
+) -> list[alt.Chart]:
+    """Return a line, bars of both intervals, and points, those of some rows hollow."""
+    x, left = (alt.X(f"{name}:Q", title="margin (m)").scale(zero=True).axis(tickCount=5) for name in ("margin", "low"))
+    every, colour, shape = _of([*rows, *hollow]), _colour(cars), _shape(cars)
+    shown: Spec = {"x": x, "y": y, "color": colour, "shape": shape, "tooltip": list(said)}
+    return [
+        line.encode(x=x, y=y, order="order:Q"),
+        every.mark_rule(strokeWidth=2).encode(x=left, x2="high:Q", y=y, color=colour),
+        every.mark_rule(strokeWidth=2).encode(x=x, y=low_end, y2="y_high:Q", color=colour),
+        _of(rows).mark_point(filled=True, size=75, opacity=1).encode(**shown),
+        *([_of(hollow).mark_point(filled=False, size=75, opacity=1, strokeWidth=2).encode(**shown)] if hollow else []),
+    ]

@@ -32,7 +32,7 @@ _LARGE = ("vulnerability_curve", "objectives", "risk", "surrogate_measures", "cl
 
 _ROW = (
     "margin", "margin_ci95", "nominal_collision_rate", "nominal_collision_rate_ci95", "deviation", "skd", "risk_1",
-    "seed", "safe",
+    "time_lost", "time_lost_ci95", "seed", "safe",
 )  # fmt: skip
 
 
@@ -238,8 +238,9 @@ def trend_table(trend: Trend) -> Table:
     """Return the table of how a car has changed, the earliest result first."""
     figure = AT_THE_TOP[trend.figure]
     parent = _common_parent(trend.runs)
-    heads = ["date\n(UTC)", "code of\nthe car", figure.heading.replace(" (", "\n("), "95 %,\nby φ"]
-    heads += ["against the\none before", "difference", f"{100.0 * trend.confidence:.3g} %,\nby φ", "folder"]
+    by = ",\nby φ" if figure.by_phi else ""
+    heads = ["date\n(UTC)", "code of\nthe car", figure.heading.replace(" (", "\n("), f"95 %{by}"]
+    heads += ["against the\none before", "difference", f"{100.0 * trend.confidence:.3g} %{by}", "folder"]
     scale, rows = figure.kind.scale, []
     for run, row in zip(trend.runs, trend.as_dict()["runs"], strict=True):
         value, change = row["value"], row["difference"]

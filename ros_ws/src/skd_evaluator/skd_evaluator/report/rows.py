@@ -101,7 +101,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
         "equivalent_multiplier": {
             "clustered": _equivalent_interval(style, figures, CI95),
             "plain": _equivalent_interval(style, figures, THESE_PHI),
-            "basis": figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ",
+            "basis": _equivalent_basis(figures),
         },
         "nominal_collision_rate": {
             "basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned"
@@ -262,6 +262,14 @@ def bounds_of(curves: Mapping[str, Any] | None) -> list[CurveBound]:
         for one in points
         if "cantelli" in one and one["cantelli"] < 1.0
     ]
+
+
+def _equivalent_basis(figures: Mapping[str, Any]) -> str:
+    """Return what C is, and what a C of 1 or more is worth: the paper's car keeps its room by standing still."""
+    said = figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ"
+    value, text = figures["equivalent_multiplier"], figures["equivalent_multiplier_text"] or ""
+    stuck = text.startswith("above") if value is None else value >= 1.0
+    return f"{said}; with C ≥ 1 that car itself does not get past people" if stuck else said
 
 
 def _equivalent_interval(style: Style, figures: Mapping[str, Any], name: str) -> str:

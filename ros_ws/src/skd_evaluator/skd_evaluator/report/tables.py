@@ -8,7 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from skd_evaluator.assessment.compare.comparison import EACH, LESS_SAFE, SAFER
+from skd_evaluator.assessment.compare.comparison import EACH
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.report.formats import BARE, TERMINAL
@@ -78,7 +78,8 @@ def _short(entry: Mapping[str, Any]) -> str:
     verdict = str(entry["verdict"])
     if not verdict.endswith(EACH):
         return verdict
-    return f"{SAFER if verdict.startswith(SAFER) else LESS_SAFE}, {entry['price']['difference']:+.1f} s"
+    said = verdict.partition(" at the price")[0].partition(",")[0]
+    return f"{said}, {entry['price']['difference']:+.1f} s"
 
 
 def _disagreement(differences: Mapping[str, Any]) -> str:

@@ -7,7 +7,7 @@ and adversary: they are compared only if adversary model and objective were the 
 deviations surely say the opposite of the margins, the comparison is inconclusive.
 
 Safety has a price (`metrics/price_of_caution.py`), which the verdict names; a car that does not get past people is not
-called safer.
+called safer. Nor is one that hits harder, in nearly all trials.
 
 A margin whose search has not converged is an upper bound: a car of which no more is known is never the safer one. What
 a search may have missed is part of the interval of the difference.
@@ -16,7 +16,7 @@ a search may have missed is part of the interval of the difference.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,20 +36,23 @@ from skd_evaluator.assessment.compare.comparability import (
 )
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.assessment.files.results import StoredResult
+from skd_evaluator.metrics.clustered import clustered_rate
 from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, stopped_at
-from skd_evaluator.metrics.price_of_caution import stored_price
+from skd_evaluator.metrics.price_of_caution import price_differences, stored_price
 from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
 
 SAFER, LESS_SAFE, INCONCLUSIVE, NOT_COMPARED = "safer", "less safe", "inconclusive", "not compared"
+AS_SAFE, AS_SAFE_WITHIN = "as safe", 0.1  # of the lesser margin
 EACH = " for each harmless road user"
 KEEPS_OUT = "leaves room only because it does not get past people"
-MARGIN, DEVIATION = "margin", "deviation"
+MARGIN, DEVIATION, IMPACT = "margin", "deviation", "impact_speed"
 RANKING_RISK = f"risk_{RANKS:g}"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
 _SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEVIATION, *RISKS)}
-_VERDICTS = {1: SAFER, 0: INCONCLUSIVE, -1: LESS_SAFE}
+HARDER, MOST_IMPACTS = 2.0, 0.9
+"""m/s, and the share of impacts that are harder by more, from which on a car is not called safer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,8 @@ class Comparison:
         refusals: why there is no difference at all, a line each.
         planned_refusal: why figures of planned kamikazes are not compared, in one line; empty where they are.
         warnings: what a reader should know of the verdict, a line each.
+        price: how much later the second car gets past a harmless road user, s; None: not known.
+        harder: share of the second car's impacts that are surely harder, if they are; less 0: of the first car's.
     """
 
     first: StoredResult
@@ -73,6 +78,8 @@ class Comparison:
     refusals: tuple[str, ...]
     planned_refusal: str
     warnings: tuple[str, ...]
+    price: Difference | None = None
+    harder: float = 0.0
 
     @property
     def judged_by(self) -> str | None:
@@ -90,24 +97,41 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """What is said of the second car."""
-        judge = self.judged_by
-        if judge is None:
-            return NOT_COMPARED
-        says = set(self._sure.values())
-        said = 0 if self.disagree or len(says) != 1 or self.opposed else says.pop()
-        if said == 0 or self.is_bound[said > 0]:
-            return self._keeps_out or INCONCLUSIVE
-        return self._keeps_out if said > 0 and self._keeps_out else self._priced(said)
+        """What is said of the second car: the first of these rows that holds."""
+        said, keeps_out = self._said, self._keeps_out
+        later = self.price.value if self.price is not None and self.price.direction else 0.0
+        quicker = f"{abs(later):.1f} s {'quicker' if later < 0.0 else 'slower'}{EACH}"
+        rows = (
+            (self.judged_by is None, NOT_COMPARED),
+            (said >= 0 and bool(keeps_out), keeps_out),
+            (said > 0 and later > 0.0, f"{SAFER} at the price of {later:.1f} s{EACH}"),
+            (said > 0, SAFER),
+            (said < 0 and later < 0.0, f"{LESS_SAFE}, and {quicker}"),
+            (said < 0, LESS_SAFE),
+            (later != 0.0 and self._as_safe, f"{AS_SAFE}, and {quicker}"),
+        )
+        return next((verdict for holds, verdict in rows if holds), INCONCLUSIVE)
 
-    def _priced(self, said: int) -> str:
-        """Return the verdict that the second car is safer (1) or less safe (−1), with what that costs."""
-        cost = self.price
-        if cost is None or said * cost.direction <= 0:
-            return _VERDICTS[said]
-        if said > 0:
-            return f"{SAFER} at the price of {cost.value:.1f} s{EACH}"
-        return f"{LESS_SAFE}, and {-cost.value:.1f} s quicker{EACH}"
+    @property
+    def by_figures(self) -> int:
+        """1: margin and risk say that the second car is safer; −1: less safe; 0: nothing, or they disagree."""
+        says = set(self._sure.values())
+        return 0 if self.disagree or len(says) != 1 or self.opposed else says.pop()
+
+    @property
+    def _said(self) -> int:
+        """The same, 0 too where the safer car's margin is an upper bound, or its impacts are much harder."""
+        said = self.by_figures
+        return 0 if said and (self.is_bound[said > 0] or self.harder * said > 0.0) else said
+
+    @property
+    def _as_safe(self) -> bool:
+        """Whether nothing tells the cars apart, and their margins surely differ by at most `AS_SAFE_WITHIN`."""
+        found = self.differences.get(MARGIN)
+        if found is None or found.interval is None or self._sure or self.harder or any(self.is_bound):
+            return False
+        least = min(mean(np.concatenate(one.groups[MARGIN])) for one in (self.first, self.second))
+        return max(map(abs, found.interval)) <= AS_SAFE_WITHIN * least
 
     @property
     def _keeps_out(self) -> str:
@@ -119,16 +143,6 @@ class Comparison:
         if second and not first and leaning > 0:
             return KEEPS_OUT
         return f"the other {KEEPS_OUT}" if first and not second and leaning < 0 else ""
-
-    @property
-    def price(self) -> Difference | None:
-        """How much later the second car gets past a harmless road user than the first, s; None where not known."""
-        first, second = stored_price(self.first.figures), stored_price(self.second.figures)
-        if first is None or second is None:
-            return None
-        times = [[[run.passed - run.unslowed] for run in one.runs] for one in (first, second)]
-        same = self.first.figures["seed"] == self.second.figures["seed"] and len(first.runs) == len(second.runs)
-        return difference(*times, paired=same and not first.aborted and not second.aborted)
 
     @property
     def is_bound(self) -> tuple[bool, bool]:
@@ -247,10 +261,36 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
     if MARGIN in differences:
         ends = _missed(first, second, ours), _missed(second, first, theirs)
         differences[MARGIN] = differences[MARGIN].widened(below=ends[1], above=ends[0])
-    held = Comparison(first, second, differences, (len(ours), len(theirs)), (), unlike, ())
-    return Comparison(
-        first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *_of_the_risks(held), *remarks)
+    prices = price_differences(first.figures, second.figures, confidence)
+    price = prices.pop("late", None)
+    speeds = [_of(one, IMPACT, rows) if IMPACT in one.groups else [] for one, rows in ((first, ours), (second, theirs))]
+    same = paired and first.figures["seed"] == second.figures["seed"]
+    more, less = harder(*speeds, same=same), harder(*speeds[::-1], same=same)
+    held = Comparison(
+        first, second, differences | prices, (len(ours), len(theirs)), (), unlike, (), price, more or -less
     )
+    return replace(held, warnings=(*_of_the_judge(held), *_of_the_risks(held), *_of_the_impacts(held), *remarks))
+
+
+def harder(first: Sequence[FloatArray], second: Sequence[FloatArray], *, same: bool) -> float:
+    """Return the share of the second car's impacts that are harder by more than `HARDER`; 0 unless surely nearly all.
+
+    Args:
+        first: per φ the impact speed of each trial, m/s; nan where nobody is hit.
+        second: the same of the second car.
+        same: whether trials are of the same φ and draws: then each is compared with its own, else with all.
+    """
+    if same:
+        pairs = [(one[: len(other)], other[: len(one)]) for one, other in zip(first, second, strict=True)]
+        shares = [(other > one + HARDER)[~np.isnan(one + other)] for one, other in pairs]
+    else:
+        known = np.concatenate(first) if len(first) else np.empty(0)
+        known = known[~np.isnan(known)]
+        shares = [(one[~np.isnan(one), None] > known + HARDER).mean(axis=1) for one in second] if known.size else []
+    counts = [(round(float(one.sum())), one.size) for one in shares if one.size]
+    found = clustered_rate(counts) if counts else None
+    surely = found is not None and found.interval is not None and found.interval[0] >= MOST_IMPACTS
+    return found.value if found is not None and surely else 0.0
 
 
 def _missed(one: StoredResult, other: StoredResult, rows: Sequence[int]) -> tuple[float, float]:
@@ -307,6 +347,15 @@ def _of_the_risks(held: Comparison) -> list[str]:
     if (better or worse) and judge is not None and not held.votes[judge]:
         return [f"{between} differ by {_labels(better or worse)}, and not significantly by {AT_THE_TOP[judge].label}"]
     return []
+
+
+def _of_the_impacts(held: Comparison) -> list[str]:
+    """Return that a car with more room is hit much harder, which withholds the verdict."""
+    if held.harder * held.by_figures <= 0.0:
+        return []
+    one, other = (held.second, held.first) if held.harder > 0.0 else (held.first, held.second)
+    share = f"{100.0 * abs(held.harder):.0f} % of the impacts of {one.folder} are harder by more than {HARDER:g} m/s"
+    return [f"{share} than those of {other.folder}: it is not called the safer one"]
 
 
 def _labels(figures: Sequence[str]) -> str:

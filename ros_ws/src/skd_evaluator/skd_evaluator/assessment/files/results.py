@@ -45,7 +45,8 @@ class StoredResult:
         safe: positions of each φ, m.
         curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
         groups: per φ, by figure: `margin`, of each trial in the order of their numbers, m, η_max where none can be
-            hit, and not there where the margin is not known; `deviation`, what each trial of the kamikazes counts
+            hit, and not there where the margin is not known; `impact_speed`, of the car in these trials, m/s, nan
+            without a hit; `deviation`, what each trial of the kamikazes counts
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
             SKD is of, m; `contact_rate`, 1 for each run along φ that collided, else 0, and `nominal_collision_rate`,
             1 for each that the moving car hit; `deviation_success_rate` and `kamikaze_success_rate` likewise of the
@@ -202,7 +203,7 @@ def groups_of(assessment: Assessment) -> dict[str, tuple[FloatArray, ...]]:
     ranking, of_skd = assessment.for_deviation, assessment.for_skd
     margins, risks = assessment.margins, assessment.risks
     return {
-        **({} if margins is None else {"margin": margins.per_phi}),
+        **({} if margins is None else {"margin": margins.per_phi, "impact_speed": margins.impacts}),
         "deviation": ranking.deviation.groups,
         "deviation_success_rate": _successes(ranking),
         "skd": of_skd.skd.distances.groups,

@@ -210,12 +210,12 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
 
 
 def _undisturbed(plan: Plan, number: int) -> EpisodeSpec:
-    """Return an episode without road users on the road, and the adversary stands a kilometre away."""
+    """Return an episode without road users on the road, and the adversary stands a kilometre behind and beside it."""
     clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
     public = replace(clocked, others=())
     scenario = replace(public, car=replace(public.car, meet_safe_trajectory=False))
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
-    away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
+    away = np.tile([-_FAR * scenario.end.crossing, -_FAR], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "undisturbed")
     return EpisodeSpec(
         scenario,

@@ -20,6 +20,7 @@ from skd_evaluator.cli.arguments import (
     real_number,
     result_folder,
 )
+from skd_evaluator.cli.gate import add_limits, limit_failures, limits_of
 from skd_evaluator.cli.output import finish, is_read
 from skd_evaluator.cli.parser import Parser, rare
 
@@ -56,6 +57,7 @@ def add(parser: Parser) -> None:
         size, "--figure", "which figure", choices=("margin", "deviation", "skd", "contact_rate"), default="margin"
     )
     add_count(size, "--kamikaze-count", 2, 1_000_000, "only with this many kamikazes for each φ")
+    add_limits(parser)
     add_output_arguments(parser)
 
 
@@ -86,7 +88,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     from skd_evaluator.report.tables import comparison_table, equal_remarks, verdict_table
     from skd_evaluator.report.terminal import print_table
 
-    names = labels(results)
+    names, limits = labels(results), limits_of(arguments)
     out = result_folder(arguments)
     rows = [
         {
@@ -147,7 +149,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             for one in found:
                 print(one.command(out.path))
 
-    return max(finish(arguments, content, place, warnings, [problem]), not read)
+    failed = limit_failures(limits, {name: one.figures for name, one in zip(names, results, strict=True)})
+    return max(finish(arguments, content, place, warnings, [problem, *failed]), not read)
 
 
 def explanations(results: Sequence[StoredResult], names: Sequence[str], progress: Progress) -> list[Explanation]:

@@ -17,7 +17,7 @@ from skd_evaluator.cli.parser import Parser
 if TYPE_CHECKING:
     from skd_evaluator.report.history import Run
 
-_FIGURES = ("margin", "deviation", "skd", "nominal_collision_rate", "risk_1")
+_FIGURES = ("margin", "deviation", "skd", "nominal_collision_rate", "risk_1", "time_lost")
 _KEYS: dict[str, Callable[[Run], Any]] = {
     "date": lambda run: run.date,
     "folder": lambda run: str(run.folder),

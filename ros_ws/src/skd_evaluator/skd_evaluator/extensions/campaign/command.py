@@ -19,6 +19,7 @@ from skd_evaluator.cli.arguments import (
     output_path,
     runner_of,
 )
+from skd_evaluator.cli.gate import add_limits, limit_failures, limits_of
 from skd_evaluator.cli.output import finish, print_json, say, warn
 from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from skd_sim.world.episode import EpisodeSpec
 
+    from skd_evaluator.assessment.compare.gate import Limit
     from skd_evaluator.extensions.campaign.campaign import Campaign
     from skd_evaluator.extensions.campaign.cells import Cell
 
@@ -44,6 +46,7 @@ def add_campaign(parser: Parser) -> None:
     add_flag(parser, "--dry-run", "only say which assessments there would be, and of how many episodes")
     add_runner_arguments(parser)
     add_max_aborted_argument(parser)
+    add_limits(parser)
     add_output_arguments(parser)
 
 
@@ -58,6 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
+    limits = limits_of(arguments)
     combinations = read_campaign(arguments.path)
     cells = make_cells(combinations)
     if arguments.dry_run:
@@ -83,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise OutOfReachError(f"{error}; {state}") from error
         finally:
             campaign.close()
-        return _say_result(campaign, arguments, out)
+        return _say_result(campaign, arguments, out, limits)
     finally:
         folder.close()
 
@@ -200,8 +204,9 @@ def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
     return finish(arguments, {"cells": rows, "episodes": total, "most": most}, show)
 
 
-def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
-    from skd_evaluator.extensions.campaign.cells import FAILED
+def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path, limits: Sequence[Limit]) -> int:
+    from skd_evaluator.assessment.files.assessment_json import read_figures
+    from skd_evaluator.extensions.campaign.cells import DONE, FAILED
     from skd_evaluator.report.tables import equal_remarks
     from skd_evaluator.report.terminal import print_table
 
@@ -219,6 +224,9 @@ def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) ->
         for row in rows
         for problem in row["problems"]
     ]
+    if limits:
+        done = [str(row["name"]) for row in rows if row["state"] == DONE]
+        failures += limit_failures(limits, {name: read_figures(out / name) for name in done})
     return finish(arguments, content, show, [*refusal, *equal_remarks(rows, "name"), *warnings], failures)
 
 
@@ -241,7 +249,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     from skd_evaluator.report.tables import credibility_mark
     from skd_evaluator.report.terminal import bounded_cell, narrow_table
 
-    heads = ["cell", "margin\n(m)", "95 %,\nby φ", "equiv.\nC", "nominal\ncollisions", "planned\n(m)"]
+    heads = ["cell", "margin\n(m)", "95 %,\nby φ", "equiv.\nC", "nominal\ncollisions", "time\nlost (s)", "planned\n(m)"]
     heads += ["adversary\nmodel", "SKD\n(m)"]
     cells = [
         [
@@ -250,6 +258,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             interval(row["margin_ci95"]),
             bounded_cell(row, number(row["equivalent_multiplier"])),
             percent(row["nominal_collision_rate"]),
+            number(row["time_lost"], 1),
             number(row["deviation"]),
             str(row["adversary_model"]),
             number(row["skd"]),

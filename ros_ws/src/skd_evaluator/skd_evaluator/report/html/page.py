@@ -18,11 +18,15 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.report.charts import (
+    PRICE_CAPTION,
     against_multiplier,
     chart_library,
     charted,
     comparison_charts,
-    rating_charts,
+    price_chart,
+    priced_cars,
+    rated_cars,
+    rating_chart,
     vulnerability_charts,
 )
 from skd_evaluator.report.formats import (
@@ -61,17 +65,16 @@ def render(subjects: Sequence[Subject]) -> str:
     Raises:
         AssessmentError: it would be larger even without any path.
     """
-    curves, ratings, comparisons = (
-        vulnerability_charts(charted(subjects)),
-        rating_charts(subjects),
-        comparison_charts(subjects),
-    )
-    page = _page(subjects, [heading for heading, _ in curves], [heading for heading, _ in ratings], len(comparisons))
+    curves, comparisons = vulnerability_charts(charted(subjects)), comparison_charts(subjects)
+    rated, priced = rated_cars(subjects), priced_cars(subjects)
+    headings = {"curves": [one for one, _ in curves], "ratings": [one for one, _ in rated]}
+    page = _page(subjects, {**headings, "prices": [one for one, _ in priced]}, len(comparisons))
     content = _content(subjects)
     content["charts"] = {
         "curves": [spec for _, spec in curves],
         "comparisons": comparisons,
-        "ratings": [one for _, charts in ratings for one in charts],
+        "ratings": [rating_chart(cars, scale) for _, cars in rated for scale in SCALES],
+        "prices": [price_chart(cars) for _, cars in priced],
     }
     kept = len(content["episodes"])
     while True:
@@ -91,8 +94,8 @@ def render(subjects: Sequence[Subject]) -> str:
 _BLOCK = '<script type="text/plain" id="data"></script>'
 
 
-def _page(subjects: Sequence[Subject], curves: Sequence[str], ratings: Sequence[str], comparisons: int) -> str:
-    """Return the page without its data: with the headings of its curves and ratings, and so many comparisons."""
+def _page(subjects: Sequence[Subject], headings: Mapping[str, Sequence[str]], comparisons: int) -> str:
+    """Return the page without its data: with the headings of its charts, and so many comparisons."""
     views = [_view(one) for one in subjects]
     for view, colour in zip(views, palette.of_cars(len(views)), strict=True):
         view["colour"] = colour
@@ -105,9 +108,9 @@ def _page(subjects: Sequence[Subject], curves: Sequence[str], ratings: Sequence[
         matrix=figures.matrix_of(subjects),
         notes=figures.ranking_notes(subjects),
         sections=[section for name in SECTIONS.registered() if (section := SECTIONS.find(name)(subjects))],
-        curves=curves,
+        **headings,
         comparisons=comparisons,
-        ratings=ratings,
+        price_caption=PRICE_CAPTION,
         scales=len(SCALES),
         against=against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
