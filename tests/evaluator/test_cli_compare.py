@@ -32,7 +32,7 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     compared = skd_here("compare", "one", "two", "--out", "both")
     assert compared.returncode == 0, compared.stderr
     assert compared.stderr == ""
-    assert names(here / "both") == ["comparison.json", "manifest.sha256", "vulnerability.png"]
+    assert names(here / "both") == ["comparison.json", "manifest.sha256", "price.png", "vulnerability.png"]
     rows = content(here / "both" / "comparison.json")["rows"]
     assert [row["car"] for row in rows] == ["basic, C = 0.5", "basic, C = 0.9"]
     assert [rows[0][name] for name in ("margin", "deviation")] == [first["margin"], first["deviation"]]

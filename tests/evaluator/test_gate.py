@@ -62,6 +62,17 @@ def test_limits_hold_on_their_own_side(result):
         assert most.passed == (value <= limit)
 
 
+def test_a_limit_holds_for_each_of_several_cars(cars, result, skd_here):
+    folders, deviation = [str(folder) for folder in cars.values()], result["deviation"]  # the lesser one
+    for limit, code in ((9.0, 0), (deviation, 1)):
+        done = skd_here(
+            "compare", *folders, "--no-pictures", "--fail-above", f"deviation={limit!r}", "--overwrite", "--out", "both"
+        )
+        assert done.returncode == code
+        assert ("gate: basic, C = 1.15: deviation ≤" in done.stderr) == bool(code)
+        assert "gate: basic, C = 0.5" not in done.stderr
+
+
 def test_every_number_of_a_result_has_a_name_that_is_known(result):
     """But for what was asked for; and no name is known that the schema has for something else."""
 

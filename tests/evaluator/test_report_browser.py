@@ -49,7 +49,7 @@ def numbers(texts: list[str]) -> list[float]:
 
 def test_figures_are_drawn(opened, subjects, file):
     charts = opened.page.locator(".chart").all()
-    assert len(charts) == 4 + 3 + 1  # against C, margin against risk, curves
+    assert len(charts) == 4 + 3 + 1 + 1  # against C, margin against risk, margin against price, curves
     for chart in charts:
         assert chart.locator("svg .mark-symbol path, svg .mark-line path, svg .mark-rect path").count() >= 2
     shown = subjects[0].episodes
