@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-import threading
 from array import array
 from collections import defaultdict
 from collections.abc import Iterator
@@ -16,14 +15,11 @@ import pytest
 import rclpy
 from common import new_domain, wait_until
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import AccelStamped, TwistStamped
 from graph_support import assert_same_log, pids_with, whole_graph
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
-from rosgraph_msgs.msg import Clock
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
@@ -31,25 +27,13 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros import support
 from skd_sim.ros.commands import message_class
-from skd_sim.ros.from_messages import from_stamp
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.timing import NANOSECONDS
-from tf2_msgs.msg import TFMessage
 
-HEARD = {
-    support.CLOCK: Clock,
-    support.TF: TFMessage,
-    support.EGO_ODOMETRY: Odometry,
-    support.ADVERSARY_ODOMETRY: Odometry,
-    support.ACCELERATION_COMMAND: AccelStamped,
-    support.VELOCITY_COMMAND: TwistStamped,
-    support.EPISODE_RESULT: EpisodeResult,
-    support.EPISODE: EpisodeMsg,
-}
-EVERY = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RUNS, IDS = itertools.count(), itertools.count(1 << 20)
-_ANSWERS = (support.ACCELERATION_COMMAND, support.VELOCITY_COMMAND)
-Told = dict[str, list[tuple[int, str]]]
+_ANSWERS = (f"/{support.ACCELERATION_COMMAND}", f"/{support.VELOCITY_COMMAND}")
+Content = dict[str, set[tuple[int, str]]]
+"""By topic the time (ns) and the text of each message of a bag."""
 
 
 @contextlib.contextmanager
@@ -65,47 +49,6 @@ def somebody(domain: int) -> Iterator[Any]:
         rclpy.try_shutdown(context=context)
 
 
-@contextlib.contextmanager
-def listening(domain: int) -> Iterator[Told]:
-    """Give what a node that is not of the graph hears, by topic, as far as the clock does not decide it."""
-    told: Told = defaultdict(list)
-    ended = threading.Event()
-    with somebody(domain) as node:
-        executor = SingleThreadedExecutor(context=node.context)
-        executor.add_node(node)
-
-        def listen(topic: str, kind: type) -> None:
-            latched = topic == support.EPISODE
-            node.create_subscription(
-                kind,
-                topic,
-                lambda message: told[topic].append((when(message), timeless(message))),
-                EVERY if latched else support.STREAM,
-            )
-
-        def spin() -> None:
-            while not ended.is_set():
-                executor.spin_once(timeout_sec=0.05)
-
-        for topic, kind in HEARD.items():
-            listen(topic, kind)
-        thread = threading.Thread(target=spin)
-        thread.start()
-        try:
-            yield told
-        finally:
-            ended.set()
-            thread.join()
-            executor.shutdown()
-
-
-def when(message: Any) -> int:
-    """Return a message's own time, ns."""
-    if isinstance(message, TFMessage):
-        message = message.transforms[0]
-    return from_stamp(message.clock if isinstance(message, Clock) else message.header.stamp)
-
-
 def timeless(message: Any) -> str:
     """Return all that a message says, but how long somebody took and the campaign's name, which is another each time.
 
@@ -118,50 +61,26 @@ def timeless(message: Any) -> str:
     return repr(message)
 
 
-class Ran(NamedTuple):
-    """A graph's episodes, the messages that somebody heard of them, and those in each bag."""
+def run(evaluator: Any, bags: Path, episodes: list[EpisodeSpec], begin: int) -> list[tuple[EpisodeLog, Content]]:
+    """Run episodes from a stamp (ns) on, when all nodes have found each other; return logs and what their bags hold.
 
-    logs: list[EpisodeLog]
-    heard: Told
-    bags: list[Told]
-
-
-def has_come(told: Told, stamp: int) -> bool:
-    """Return whether something from a stamp (ns) on has come on each topic."""
-    return all(any(time >= stamp for time, _ in [*told[topic]]) for topic in HEARD)
-
-
-def run(evaluator: Any, domain: int, bags: Path, episodes: list[EpisodeSpec], begin: int) -> Ran:
-    """Run episodes with a listener, who hears all topics by then, from a stamp (ns) on; the last is not looked at."""
-    with listening(domain) as told:
-
-        def all_heard() -> bool:
-            evaluator.run_episode(dataclasses.replace(episodes[0], episode_id=episodes[0].episode_id + next(IDS)))
-            return has_come(told, evaluator._key.start)
-
-        wait_until(all_heard, "all publishers")
-        evaluator._next_start = begin
-        logs = [evaluator.run_episode(one) for one in episodes]
-        last = evaluator._key.start
-        # Each topic is heard in its order: who has heard of the last episode has heard all of those before.
-        wait_until(lambda: has_come(told, last), "the last messages")
-        heard = {topic: [one for one in messages if begin <= one[0] < last] for topic, messages in told.items()}
-    contents: list[Told] = []
-    for log in logs[:-1]:
+    But for answers to a last state, for which nobody waits.
+    """
+    evaluator.run_episode(dataclasses.replace(episodes[0], episode_id=episodes[0].episode_id + next(IDS)))
+    evaluator._next_start = begin
+    found = []
+    for log in [evaluator.run_episode(one) for one in episodes]:
         (path,) = bags.glob(f"*_{log.episode.episode_id:016x}")
-        content: Told = defaultdict(list)
+        content: Content = defaultdict(set)
         with AnyReader([path]) as reader:
             for connection, logged, data in reader.messages():
                 message = deserialize_message(data, message_class(connection.msgtype))
-                content[connection.topic].append((logged, timeless(message)))
-        contents.append(content)
-    return Ran(logs[:-1], heard, contents)
-
-
-def answers(told: Told, topic: str) -> set[tuple[int, str]]:
-    """Return what was said on a topic, but for answers to a last state, for which nobody waits."""
-    ends = {time for name, said in told.items() if name.endswith(support.EPISODE_RESULT) for time, _ in said}
-    return {one for one in told[topic] if not (topic.endswith(_ANSWERS) and one[0] in ends)}
+                content[connection.topic].add((logged, timeless(message)))
+        ends = {time for time, _ in content[f"/{support.EPISODE_RESULT}"]}
+        for topic in _ANSWERS:
+            content[topic] = {one for one in content[topic] if one[0] not in ends}
+        found.append((log, content))
+    return found
 
 
 class Graph(NamedTuple):
@@ -183,7 +102,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
 
 
 def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: EpisodeSpec, replay: EpisodeSpec) -> None:
-    """In process, composed and separate are the same, and who listens hears and records the same."""
+    """In process, composed and separate are the same, and so are the messages on each topic, as they are recorded."""
     lines = " ".join(pids_with(graph.token).values())
     assert "car_controller" in lines
     assert not any(name in lines for name in ("vehicle_simulator", "adversary"))
@@ -193,22 +112,17 @@ def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: EpisodeSp
     begin = (number_of_run + 1) * 10_000 * NANOSECONDS
     episodes = [
         dataclasses.replace(one, episode_id=one.episode_id + 100 * number_of_run + number)
-        for number, one in enumerate((episode, replay, third, episode))
+        for number, one in enumerate((episode, replay, third))
     ]
-    composed = run(graph.evaluator, graph.domain, graph.folder / "bags", episodes, begin)
-    domain, options = new_domain(), GraphOptions(nodes="separate")
-    with whole_graph(tmp_path, options, record_to=tmp_path / "bags", domain=domain) as (evaluator, token):
+    composed = run(graph.evaluator, graph.folder / "bags", episodes, begin)
+    with whole_graph(tmp_path, GraphOptions(nodes="separate"), record_to=tmp_path / "bags") as (evaluator, token):
         assert all(name in " ".join(pids_with(token).values()) for name in ("vehicle_simulator", "adversary"))
-        separate = run(evaluator, domain, tmp_path / "bags", episodes, begin)
-    for one, left, right in zip(episodes[:-1], composed.logs, separate.logs, strict=True):
-        assert left.outcome != Outcome.ABORTED
-        assert_same_log(left, right)
-        assert_same_log(left, run_episode(one))
-    for left, right in zip([composed.heard, *composed.bags], [separate.heard, *separate.bags], strict=True):
-        assert set(left) == set(right)
-        for topic in left:  # which topic is first is chance; tick 0 may be repeated
-            assert answers(left, topic) == answers(right, topic), topic
-    assert {topic.lstrip("/") for topic in composed.heard} == {topic.lstrip("/") for topic in HEARD}
+        separate = run(evaluator, tmp_path / "bags", episodes, begin)
+    for one, (log, content), (other, its) in zip(episodes, composed, separate, strict=True):
+        assert log.outcome != Outcome.ABORTED
+        assert_same_log(log, other)
+        assert_same_log(log, run_episode(one))
+        assert content == its
 
 
 def test_diagnostics_say_how_the_campaign_goes(graph: Graph, episode: EpisodeSpec) -> None:

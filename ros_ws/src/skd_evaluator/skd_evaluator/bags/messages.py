@@ -14,10 +14,11 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import zstandard
@@ -81,13 +82,7 @@ def types_in(name: str, encoding: str, definition: bytes) -> Typestore:
             types = get_types_from_idl("\n".join(lines))
         else:
             types = get_types_from_msg(text, name)
-        used = [name]
-        for one in used:
-            if one not in types:
-                complete(typestore(), one)
-                types[one] = typestore().fielddefs[one]
-            used += [inner for _, kind in types[one][1] for inner in _names(kind) if inner not in used]
-        store.register(types)
+        complete(store, name, types)
     except UsageError:
         raise
     except Exception as error:  # its parser raises whatever the text makes it raise
@@ -95,24 +90,34 @@ def types_in(name: str, encoding: str, definition: bytes) -> Typestore:
     return store
 
 
-def complete(store: Typestore, name: str) -> None:
+def complete(store: Typestore, name: str, defined: Mapping[str, Any] = MappingProxyType({})) -> None:
     """Add a type, and those that it uses, to a store that may not know them.
+
+    Args:
+        store: the store.
+        name: name of the type.
+        defined: types by name; any other is taken as it is installed.
 
     Raises:
         UsageError: a definition is nowhere.
     """
     if name in store.fielddefs:
         return
+    definition = defined[name] if name in defined else _installed(name)
+    for _, kind in definition[1]:
+        for used in _names(kind):
+            complete(store, used, defined)
+    store.register({name: definition})
+
+
+def _installed(name: str) -> Any:
+    if name in typestore().fielddefs:
+        return typestore().fielddefs[name]
     package, _, kind = name.partition("/msg/")
-    files = (folder / f"{kind}.msg" for folder in _shared(package))
-    file = next((file for file in files if file.is_file()), None)
+    file = next((file for folder in _shared(package) if (file := folder / f"{kind}.msg").is_file()), None)
     if file is None:
         raise UsageError(f"{name} cannot be recorded: there is no {kind}.msg in the share folder of {package}")
-    found = get_types_from_msg(file.read_text(encoding="utf-8"), name)
-    for _, kind_of_field in found[name][1]:
-        for used in _names(kind_of_field):
-            complete(store, used)
-    store.register(found)
+    return get_types_from_msg(file.read_text(encoding="utf-8"), name)[name]
 
 
 def _names(field: Any) -> Iterator[str]:

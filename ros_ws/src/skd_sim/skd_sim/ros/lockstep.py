@@ -121,6 +121,8 @@ class CommandSource:
         if not self.senders.count():
             return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")
         how = f"; it has answered {len(self._answers)} times before, and hangs" if self._answers else ""
+        if len(self._answers) == 1:  # the first state is repeated, so that it is not known how long its answer took
+            how = f"; it has answered once: it hangs, or is too slow for -p command_timeout:={limit:g}"
         if slowest > _SLOW * limit:
             how = f"; its answers took up to {slowest:.2g} s, it is too slow for -p command_timeout:={limit:g}"
         return abort_reason(AbortKind.NO_ANSWER, f"{silent}{how}")
