@@ -74,7 +74,7 @@ class ClockFollower(Node):
 
 
 class VendorController(Node):
-    """A car whose commands are of a type of its own: brakes once it is near the crossing."""
+    """A car whose commands are of a type of its own: brakes and steers once it is near."""
 
     def __init__(self) -> None:
         super().__init__("vendor_controller")
@@ -84,7 +84,8 @@ class VendorController(Node):
 
     def _on_odometry(self, odometry: Odometry) -> None:
         message = self._kind(stamp=odometry.header.stamp, source="vendor")
-        message.longitudinal.acceleration = -3.0 if odometry.pose.pose.position.y > -9.0 else 0.0
+        near = odometry.pose.pose.position.y > -9.0
+        message.longitudinal.acceleration, message.steering_tire_angle = (-3.0, 0.03) if near else (0.0, 0.0)
         self._publisher.publish(message)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
 from builtin_interfaces.msg import Time
@@ -12,7 +14,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy
 from skd_sim.errors import UsageError
 from skd_sim.options.options import CommandOptions
-from skd_sim.ros.commands import NAMED_FORMATS, CarCommands, Quantity, car_commands
+from skd_sim.ros.commands import NAMED_FORMATS, CarCommands, Quantity, angle_of_yaw_rate, car_commands
 from std_msgs.msg import Float64MultiArray, Header
 
 NUMBERS = st.floats(-(2.0**100), 2.0**100, width=32)
@@ -46,10 +48,23 @@ def test_the_number_at_the_path_is_read(value: float, other: float, sec: int, na
     ):
         assert chosen.kind is type(message)
         assert chosen.stamped == (expected[0] is not None)
-        assert chosen.read(message) == (expected[0], (expected[1], 0.0))
+        assert chosen.read(message) == (expected[0], (expected[1], 0.0, 0.0))
     drive = AckermannDriveStamped(header=header)
     drive.drive.speed, drive.drive.acceleration, drive.drive.jerk = value, abs(other), 9.0
-    assert commands("ackermann").read(drive) == (stamp, (value, abs(other)))
+    drive.drive.steering_angle = accel.accel.angular.z = twist.twist.angular.z = other
+    assert commands("ackermann").read(drive) == (stamp, (value, abs(other), other))
+    assert commands("accel_stamped").read(accel) == (stamp, (value, 0.0, other))
+    assert commands("twist_stamped").read(twist) == (stamp, (value, 0.0, other))
+    assert commands("twist").read(twist.twist) == (None, (value, 0.0, other))
+    both = CommandOptions(command_type="sensor_msgs/msg/Joy", command_field="axes[1]", command_steering="axes[0]")
+    assert car_commands(both).read(joy) == (stamp, (value, 0.0, other))
+
+
+def test_a_yaw_rate_is_that_of_the_car() -> None:
+    angle = angle_of_yaw_rate(0.4, 8.0, 2.6)
+    assert 8.0 * math.tan(angle) / 2.6 == pytest.approx(0.4)
+    assert commands("twist").format.is_yaw_rate
+    assert not commands("ackermann").format.is_yaw_rate
 
 
 def test_what_a_type_means() -> None:
@@ -63,7 +78,7 @@ def test_what_a_type_means() -> None:
     ("kind", "field", "said"),
     [
         ("joy", "", f"must be one of {', '.join(NAMED_FORMATS)}, or a message type as in my_msgs/msg/Command"),
-        ("twist", "linear.x", "command_field goes with a type of yours"),
+        ("twist", "linear.x", "command_field and command_steering go with a type of yours"),
         ("no_such_msgs/msg/Joy", "axes[0]", "no message package no_such_msgs here"),
         ("geometry_msgs/msg/Force", "x", "geometry_msgs has no such message; it has Accel, AccelStamped, "),
         ("geometry_msgs/msg/AccelStamped", "", "its numbers are accel.linear.x, accel.linear.y, accel.linear.z, "),

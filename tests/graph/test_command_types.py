@@ -29,20 +29,21 @@ class Vendor:
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         pass
 
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
-        return -3.0 if car.y > -9.0 else 0.0
+    def command(self, car: CarState, adversary: AdversaryState) -> tuple[float, float]:
+        return (-3.0, 0.03) if car.y > -9.0 else (0.0, 0.0)
 
 
 def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None:
     """With its own control period too: the motion is that of the same law in process, to the last bit."""
     run = ("episode", "--mode", "replay", "--safe", safe, "--controller", "external", "--controller-command", NODE)
-    field = ("-p", "command_field:=longitudinal.acceleration")
+    field = ("-p", "command_field:=longitudinal.acceleration", "-p", "command_steering:=steering_tire_angle")
     done = skd(*run, *VENDOR, *field, "-p", "control_period:=0.1", "--out", tmp_path / "out")
     assert done.code == 0, done.err
     (found,) = read_episodes([tmp_path / "out"])
     assert found.log.episode.scenario.control_periods == 3
     plain = run_episode(dataclasses.replace(found.log.episode, controller="basic"), Vendor())
     assert plain.car[:, 3].min() < 6.0  # it did brake
+    assert plain.car[-1, 0] < -0.05  # and went to the left
     assert_same_log(plain, found.log)
     with AnyReader([next((tmp_path / "out" / "bags").iterdir())]) as reader:
         (connection,) = [one for one in reader.connections if one.topic == "/control/command/control_cmd"]

@@ -98,6 +98,34 @@ def test_cars_that_decide_between_ticks(tmp_path: Path, controller: str) -> None
     assert Outcome.COLLISION in {log.outcome for log in logs}
 
 
+def test_a_car_that_steers_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    """Its commands, too, and a state that does not follow from them is found in the bag."""
+    weaving, scenario = f"{HERE.parent}/sim/test_steering.py:Weaving", load_scenario("crossing")
+    plan = Plan(
+        dataclasses.replace(scenario, control_period=0.05),
+        controller=weaving,
+        simulations=100,
+        adversary_model="generic",
+    )
+    safe = safe_trajectories(dataclasses.replace(plan, safe_count=1), InProcessRunner(1))[0]
+    wanted = [single_episode(plan, mode, trial, safe) for mode in (Mode.KAMIKAZE, Mode.REPLAY) for trial in range(3)]
+    bags = tmp_path / "bags"
+    with whole_graph(tmp_path, controller=weaving, record_to=bags) as (evaluator, _):
+        logs = list(evaluator.run(wanted))
+    recorded = {(one.log.episode.mode, one.log.episode.episode_id): one.log for one in read_episodes([bags])}
+    for log in logs:
+        plain, kept = run_episode(log.episode), recorded[log.episode.mode, log.episode.episode_id]
+        assert np.ptp(log.car[:, 2]) > 0.05
+        assert_same_log(plain, log)
+        assert_same_log(plain, kept)
+        assert plain.commands is not None
+        assert kept.commands is not None
+        assert plain.commands.tobytes() == kept.commands.tobytes()
+        assert examine(kept).ours
+        turned = kept.car + (np.arange(len(kept.car)) == 3)[:, None] * np.array([0.0, 0.0, 0.05, 0.0])
+        assert not examine(dataclasses.replace(kept, car=turned)).ours
+
+
 @pytest.mark.parametrize("multiplier", MULTIPLIERS)
 def test_assessments_are_the_same_to_the_last_bit(campaigns: dict[float, Campaign], multiplier: float) -> None:
     campaign = campaigns[multiplier]

@@ -1,8 +1,8 @@
 """Whether an episode can have happened: complete, finite, plausible, and consistent with the world's step.
 
-The world draws its noise from the episode's seed, so from a state, the next speed and the adversary's step everything
-else of a tick follows: the car's path, the touch, its time and its speed. Of the basic controller the next speed does,
-too. A recording that says otherwise is not of this world, of another episode, or damaged.
+The world draws its noise from the episode's seed, so from the commands and the adversary's steps everything else
+follows: the car's path, the touch, its time and its speed. Of the basic controller the commands do, too. A recording
+that says otherwise is not of this world, of another episode, or damaged.
 """
 
 from __future__ import annotations
@@ -18,24 +18,14 @@ from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers.basic import basic_acceleration
+from skd_sim.controllers.basic import BasicController
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.car_under_test import DYNAMICS
-from skd_sim.scenario.road import (
-    HEADING_NORTH,
-    beside_road,
-    is_straight_north,
-    right_and_along,
-    road_pose,
-    road_position,
-)
+from skd_sim.scenario.road import road_position
 from skd_sim.scenario.road_user import Body
-from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance, sweep, to_car_frame
-from skd_sim.world.dynamics.basic import along_road
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.state import AdversaryState
-from skd_sim.world.world import make_world
+from skd_sim.world.state import AdversaryState, on_grid
+from skd_sim.world.world import World, make_world
 
 ROUNDING = 1e-9
 """m, m/s, s: what another processor's rounding may change."""
@@ -43,7 +33,8 @@ _FARTHEST = 1e6
 """m, m/s, rad: no state is beyond; squares of what is 10¹⁴⁸ times as far are infinite."""
 UNLIKE = 1.0
 """Deviation where something happened in one of the two and not in the other."""
-_COS, _SIN = math.cos(HEADING_NORTH), math.sin(HEADING_NORTH)
+_TURN = 0.05  # rad in a piece of a path between two states
+_LOOKS = 20  # pieces of the last tick
 
 
 class FirstTouch(NamedTuple):
@@ -79,7 +70,6 @@ class Recomputed:
 def _touches(
     adversary: FloatArray,
     car: FloatArray,
-    line: FloatArray,
     footprint: tuple[float, float, float],
     shape: tuple[float, float, float],
     first_heading: float,
@@ -87,10 +77,9 @@ def _touches(
     minimum_speed: float,
 ) -> tuple[int, float, float]:
     """Return tick, fraction and speed of the first touch that counts, of a car that drives uniformly; −1: none."""
-    straight = is_straight_north(line)
     heading = first_heading
     for tick in range(adversary.shape[0] - 1):
-        path = driven(line, straight, car[tick], car[tick + 1])
+        path = between(car[tick], car[tick + 1], 1)
         place, end = (adversary[tick, 0], adversary[tick, 1]), (adversary[tick + 1, 0], adversary[tick + 1, 1])
         velocity = ((end[0] - place[0]) / time_step, (end[1] - place[1]) / time_step)
         if shape[0] == 0.0 and (velocity[0] != 0.0 or velocity[1] != 0.0):
@@ -102,14 +91,18 @@ def _touches(
 
 
 @kernel
-def driven(line: FloatArray, straight: bool, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the car's way between two recorded states (as in `EpisodeLog`), as `CarDynamics.advance` gives it."""
-    if not straight:
-        here, there = road_position(line, before[0], before[1])[0], road_position(line, after[0], after[1])[0]
-        return along_road(line, here, max(0.0, there - here), before[3], after[3])
-    path = np.empty((2, 4))
-    path[0, 0], path[0, 1], path[0, 2], path[0, 3] = before[0], before[1], HEADING_NORTH, before[3]
-    path[1, 0], path[1, 1], path[1, 2], path[1, 3] = after[0], after[1], HEADING_NORTH, after[3]
+def between(before: FloatArray, after: FloatArray, pieces: int) -> FloatArray:
+    """Return the car's path between two recorded states, along an arc, in at least so many pieces; see `sweep`."""
+    dx, dy, turned = after[0] - before[0], after[1] - before[1], on_grid(after[2] - before[2])
+    pieces = max(pieces, math.ceil(abs(turned) / _TURN))
+    path = np.empty((pieces + 1, 4))
+    for piece in range(pieces + 1):
+        share = piece / pieces
+        bulge = 0.5 * turned * share * (1.0 - share)
+        path[piece] = before + share * (after - before) if piece < pieces else after
+        path[piece, 0] += bulge * dy
+        path[piece, 1] -= bulge * dx
+        path[piece, 2] = before[2] + share * turned
     return path
 
 
@@ -140,7 +133,6 @@ def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
         tick, fraction, speed = _touches(
             track,
             log.car,
-            scenario.road.line,
             (car.front - margin, car.rear - margin, car.half_width - margin),
             body.shape,
             body.first_heading,
@@ -152,9 +144,9 @@ def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
 
 
 def recompute(log: EpisodeLog) -> Recomputed:
-    """Compare a log with what the world gives, tick by tick from the recorded states.
+    """Compare a log with what the world gives to its adversary's steps and its commands.
 
-    Where the car's motion depends on more than is recorded, only the start and the adversary are compared.
+    Where the commands are not known, only the start and the adversary are compared.
 
     Args:
         log: what is said to have happened, with any outcome; its states must be finite.
@@ -165,15 +157,9 @@ def recompute(log: EpisodeLog) -> Recomputed:
     found.note(log.car[0] - np.array(world.car), "the car's start")
     if len(log.car) > 1:
         _adversary(log, found)
-        if determined(log.episode.scenario):
-            _car(log, found)
-            _impact(log, found)
+        if log.commands is not None:
+            _car(log, log.commands, world, found)
     return found
-
-
-def determined(scenario: Scenario) -> bool:
-    """Whether states at ticks determine how the car drove: not with other dynamics, nor if it decides between ticks."""
-    return DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
 
 
 def follows_phi(episode: EpisodeSpec) -> bool:
@@ -203,59 +189,34 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
     found.note(np.abs(reached - walked[1:, None]).max(axis=-1).min(axis=1), "the adversary's position", 1)
 
 
-def _car(log: EpisodeLog, found: Recomputed) -> None:
-    """Compare the car's path with its speeds, and a basic car's speeds with what braking and the noise give."""
-    episode, states = log.episode, log.car
-    scenario = episode.scenario
-    car, step, line = scenario.car, scenario.time_step, scenario.road.line
-    ticks = len(states) - 1
-    speed, after = states[:-1, 3], states[1:, 3]
-    distance = 0.5 * step * (speed + after)
-    if scenario.road.straight:
-        x, y = states[:-1, 0] + distance * _COS, states[:-1, 1] + distance * _SIN
-        heading = np.full(ticks, HEADING_NORTH)
-    else:
-        along = right_and_along(line, states[:-1, :2])[:, 1] + distance
-        x, y = beside_road(line, np.column_stack([np.zeros(ticks), along])).T
-        heading = np.array([road_pose(line, s)[2] for s in along.tolist()])
-    found.note(x - states[1:, 0], "the car's x", 1)
-    found.note(y - states[1:, 1], "the car's y", 1)
-    found.note(np.angle(np.exp(1j * (heading - states[1:, 2]))), "the car's heading", 1)
-    found.note(np.minimum(0.0, states[:, 3]), "the car's speed", 0)
-    if not episode.car.is_known or episode.mode == Mode.SAFE:  # φ is made before any car is looked at
-        return
-    draws = 2.0 * generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2)) - 1.0
-    rolling = speed + car.speed_noise * draws[:, 0] * speed
-    braking = -car.deceleration + car.acceleration_noise * draws[:, 1] * -car.deceleration
-    free = np.abs(np.maximum(0.0, rolling) - after)
-    braked = np.abs(np.maximum(0.0, rolling + step * braking) - after)
-    if log.timing.delay > 0.0:  # in real time a command may be that of an earlier tick
-        found.note(np.minimum(free, braked), "the car's speed", 1)
-        return
-    # As `BasicController.command` has it.
-    if scenario.road.straight:
-        ahead = _COS * (log.adversary[:-1, 0] - states[:-1, 0]) + _SIN * (log.adversary[:-1, 1] - states[:-1, 1])
-    else:
-        walked, drove = (right_and_along(line, places[:-1, :2])[:, 1] for places in (log.adversary, states))
-        ahead = walked - drove
-    trigger = episode.multiplier * car.safe_distance
-    gaps = (ahead - car.front).tolist()
-    brakes = np.array([basic_acceleration(gap, trigger, car.deceleration) != 0.0 for gap in gaps], dtype=np.bool_)
-    found.note(np.where(brakes, braked, free), "the car's speed", 1)
-
-
-def _impact(log: EpisodeLog, found: Recomputed) -> None:
-    """Compare the impact with the first touch of the recorded motion."""
-    touch = first_touch(log)
-    last = len(log.adversary) - 2
-    if log.outcome == Outcome.ABORTED and (touch is None or touch.tick == last):
-        return
-    if log.outcome != Outcome.COLLISION or touch is None or touch.tick != last:
-        if touch is not None or log.outcome == Outcome.COLLISION:
-            found.note(UNLIKE, "the touch")
-        return
-    found.note(log.impact_time - (touch.tick + touch.fraction) * log.episode.scenario.time_step, "the impact's time")
-    found.note(log.impact_speed - touch.speed, "the impact's speed")
+def _car(log: EpisodeLog, commands: FloatArray, world: World, found: Recomputed) -> None:
+    """Drive the car again by its commands; compare its states, the impact, and what a basic car commands."""
+    episode, steps = log.episode, np.diff(log.adversary, axis=0) / log.episode.scenario.time_step
+    # φ is made before any car is looked at, and in real time a command may be that of an earlier tick.
+    decides = episode.car.is_known and episode.mode != Mode.SAFE and not log.timing.delay > 0.0
+    basic = BasicController(episode.multiplier if decides else 0.0)
+    basic.reset(episode.public_scenario, generator(0, 0, Role.CONTROLLER))
+    states, contact = [world.car], None
+    for command in commands.tolist():
+        if decides:
+            expected = basic.command(world.car, world.adversary), 0.0
+            found.note(np.subtract(command, expected), "the car's command", world.tick)
+        contact = world.step(tuple(command), steps[world.tick].tolist())
+        if world.period == 0:
+            states.append(world.car)
+        if contact is not None or len(states) == len(log.car):
+            break
+    driven = np.array(states)
+    for column, what in enumerate(("x", "y", "heading", "speed")):
+        off = driven[:, column] - log.car[: len(driven), column]
+        found.note(np.angle(np.exp(1j * off)) if what == "heading" else off, f"the car's {what}", 0)
+    if len(driven) < len(log.car) or (contact is not None) != (log.outcome == Outcome.COLLISION):
+        if contact is not None or log.outcome != Outcome.ABORTED:
+            found.note(UNLIKE, "the touch" if contact is not None or len(driven) == len(log.car) else "the commands")
+    elif contact is not None:
+        time = (len(driven) - 2 + contact.fraction) * episode.scenario.time_step
+        found.note(log.impact_time - time, "the impact's time")
+        found.note(log.impact_speed - contact.speed, "the impact's speed")
 
 
 LARGEST_ACCELERATION = 20.0
@@ -466,13 +427,6 @@ def _touched(log: EpisodeLog) -> str:
 
 def _gap_at(log: EpisodeLog, place: FloatArray) -> float:
     """Return the distance (m) from a place to the ground that the car may cover in the last tick."""
-    car = log.episode.scenario.car
-    line = log.episode.scenario.road.line
-    if not log.episode.scenario.road.straight:
-        track = driven(line, False, log.car[-2], log.car[-1])
-        seen = [to_car_frame(float(place[0]), float(place[1]), *pose) for pose in track[:, :3].tolist()]
-        return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
-    x = 0.5 * (log.car[-2, 0] + log.car[-1, 0])
-    ahead, left = to_car_frame(float(place[0]), float(place[1]), float(x), float(log.car[-2, 1]), HEADING_NORTH)
-    ahead_by = float(log.car[-1, 1] - log.car[-2, 1])
-    return rectangle_distance(ahead, left, car.front + max(0.0, ahead_by), car.rear, car.half_width)
+    car, track = log.episode.scenario.car, between(log.car[-2], log.car[-1], _LOOKS)
+    seen = [to_car_frame(float(place[0]), float(place[1]), *pose) for pose in track[:, :3].tolist()]
+    return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)

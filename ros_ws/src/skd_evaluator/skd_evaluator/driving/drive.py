@@ -24,6 +24,7 @@ from skd_sim.controllers.loading import make_controller
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, NamedSimulator
+from skd_sim.world.dynamics.basic import Command, as_pair
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import CarState, RoadUserState
 
@@ -317,7 +318,7 @@ class PacedSimulator(NamedSimulator):
         self._due = self._shown + self._period
         return frame
 
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
         """Wait for the end of the control period, and advance by it; see `Simulator`.
 
         Raises:
@@ -329,8 +330,8 @@ class PacedSimulator(NamedSimulator):
         if self._look() is not Wish.NONE:
             raise LeftError
         self._due = max(self._due + self._period, time.monotonic())  # what was missed is not made up for
-        frame = super().step(acceleration, velocity)
-        self._see(frame, acceleration, age)
+        frame = super().step(command, velocity)
+        self._see(frame, as_pair(command)[0], age)
         return frame
 
     def _see(self, frame: Frame, command: float, age: float) -> None:

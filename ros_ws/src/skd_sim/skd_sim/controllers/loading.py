@@ -21,6 +21,7 @@ from skd_sim.controllers.protocol import (
     Controller,
     SensingController,
     control_period_of,
+    steers_by_curvature,
     takes_batches,
     takes_scene,
 )
@@ -31,6 +32,7 @@ from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.options.registry import load, place_of, reason_of
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.dynamics.basic import Command, steering_angle, wheels
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Scene
 
@@ -101,6 +103,13 @@ def _number(answer: Any) -> float:
 _SCENARIOS = 64  # copies of scenarios that a controller keeps
 
 
+def _pair(answer: Any) -> tuple[float, float] | None:
+    """Return the two numbers of an answer; None where it is no pair."""
+    if isinstance(answer, (tuple, list, np.ndarray)) and np.shape(answer) == (2,):
+        return _number(answer[0]), _number(answer[1])
+    return None
+
+
 class UserController:
     """A user's controller, whose failures name it instead of ending in a traceback of ours.
 
@@ -116,6 +125,7 @@ class UserController:
         self._scenarios: dict[int, tuple[Scenario, Scenario]] = {}  # by id: each, and the controller's own copy
         self.control_period = control_period_of(controller, name)
         self.takes_scene, self.takes_batches = takes_scene(controller), takes_batches(controller)
+        self._by_curvature, self._wheelbase = steers_by_curvature(controller, name), 0.0
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on, with a scenario of the controller's own, so that it cannot change the world's."""
@@ -125,29 +135,34 @@ class UserController:
             own: Scenario = pickle.loads(pickle.dumps(scenario))
             own.road.line.setflags(write=False)
             self._scenarios[id(scenario)] = scenario, own
+        self._wheelbase = wheels(scenario.car)[0]
         self._call("reset", self._controller.reset, self._scenarios[id(scenario)][1], rng)
 
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> Command:
         """Pass the call on and check the answer; see `Controller.command`."""
         answer = self._call("command", self._controller.command, car, adversary)
-        acceleration = _number(answer)
-        if not math.isfinite(acceleration):
+        pair = _pair(answer)
+        acceleration, steering = pair or (_number(answer), 0.0)
+        if not (math.isfinite(acceleration) and math.isfinite(steering)):
             raise NoNumberError(
-                f"controller {self._name}: command must return a finite number (m/s²), got {short(answer)}"
+                f"controller {self._name}: command must return a finite number (m/s²), got {short(answer)}; or two, "
+                "with a steering angle (rad)"
             )
-        return acceleration
+        if pair is None:
+            return acceleration
+        return acceleration, steering_angle(steering, self._wheelbase) if self._by_curvature else steering
 
     def commands(self, states: FloatArray) -> FloatArray:
-        """Return the accelerations in many episodes at once; see `BatchController.commands`.
+        """Return the commands in many episodes at once; see `BatchController.commands`.
 
         Args:
             states: 9 × n: x, y, heading and speed of each car, x, y, vx, vy and heading of each adversary.
 
         Returns:
-            n accelerations, m/s².
+            n × 2: accelerations (m/s²) and steering angles (rad).
 
         Raises:
-            AssessmentError: the controller fails, or answers anything but n finite numbers.
+            AssessmentError: the controller fails, or answers anything but n finite numbers or pairs.
         """
         inner: Any = self._controller
         copied = states.copy()
@@ -156,13 +171,17 @@ class UserController:
         answer = self._call("commands", inner.commands, cars, scenes)
         count = states.shape[1]
         found = np.asarray(answer)
-        is_array = found.dtype.kind in "fiu" and found.shape == (count,) and not np.ma.is_masked(answer)
+        is_array = found.dtype.kind in "fiu" and found.shape in ((count,), (count, 2)) and not np.ma.is_masked(answer)
         if not is_array or not np.isfinite(found).all():
             raise NoNumberError(
                 f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got "
-                f"{short(answer)}"
+                f"{short(answer)}; or {count} × 2, with steering angles (rad)"
             )
-        return found.astype(np.float64)
+        pairs = np.zeros((count, 2))
+        pairs.T[: found.ndim] = found.T
+        if self._by_curvature:
+            pairs[:, 1] = np.arctan(self._wheelbase * pairs[:, 1])
+        return pairs
 
     def _call(self, method: str, call: Callable[..., _Result], *arguments: Any) -> _Result:
         begin_call()

@@ -13,6 +13,7 @@ import numpy as np
 
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import CONTROL_PERIODS, Scenario, check_control_period
+from skd_sim.world.dynamics.basic import Command
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Scene
 
@@ -22,13 +23,16 @@ class Controller(Protocol):
     """What SKD asks of a controller under test; a class with these two methods is enough.
 
     A controller that decides more often says so by an attribute `control_period` (s); otherwise the scenario decides.
+    One that steers by the curvature of its path has an attribute `steers_by = "curvature"`.
     """
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Forget the last episode; draw randomness, if any, from `rng` only."""
 
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
-        """Return the acceleration (m/s²) for the coming control period.
+    def command(self, car: CarState, adversary: AdversaryState) -> Command:
+        """Return the acceleration (m/s²) for the coming control period, or that and a steering angle.
+
+        The angle is of the front wheels, rad, positive to the left; the curvature is of the rear axle's path, 1/m.
 
         A controller whose second parameter is called `scene` gets a `skd_sim.world.state.Scene` instead: everybody.
         """
@@ -52,7 +56,7 @@ class BatchController(Controller, Protocol):
     """A controller that also answers many episodes at once: it keeps nothing from one command to the next."""
 
     def commands(self, cars: CarState, scenes: Any) -> Any:
-        """Return the accelerations (m/s²) of n episodes, an array of n; each is what `command` would return there.
+        """Return the commands of n episodes, an array of n or n × 2; each is what `command` would return there.
 
         Args:
             cars: a `CarState` each field of which is an array of n numbers.
@@ -131,6 +135,18 @@ def control_period_of(controller: object, name: str) -> float | None:
             f"controller {name}: control_period must be a number from {least:g} to {most:g} (s), got {got}"
         )
     return float(period)
+
+
+def steers_by_curvature(controller: object, name: str) -> bool:
+    """Tell whether the second number of a controller, called `name`, is a curvature and not a steering angle.
+
+    Raises:
+        UsageError: it declares something else.
+    """
+    said = getattr(controller, "steers_by", "angle")
+    if said not in ("angle", "curvature"):
+        raise UsageError(f"controller {name}: steers_by must be angle or curvature, got {said!r:.60}")
+    return bool(said == "curvature")
 
 
 def with_control_period(scenario: Scenario, period: float | None, name: str) -> Scenario:

@@ -405,6 +405,12 @@ class CommandOptions:
         metavar="FIELD",
         unset="none",
     )
+    command_steering: str = _command_option(
+        "",
+        "which number of a message type of your own is the steering angle (rad), such as lateral.steering_tire_angle",
+        metavar="FIELD",
+        unset="none",
+    )
     command_quantity: str = _command_option(
         "acceleration",
         "what the command in a message type of your own is: an acceleration (m/s²), or a speed to reach (m/s)",

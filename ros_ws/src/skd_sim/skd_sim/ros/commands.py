@@ -1,4 +1,4 @@
-"""What a car under test may publish: which message, which number in it, and what that number means.
+"""What a car under test may publish: which message, which numbers in it, and what they mean.
 
 Types with a name of their own stand in one table; others are described by ROS name, field and quantity. Message types
 are imported by their names, so that nothing of ROS is needed until one is.
@@ -19,7 +19,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.options import CommandOptions
 from skd_sim.options.registry import reason_of
 from skd_sim.ros.from_messages import from_stamp
-from skd_sim.world.dynamics.basic import CommandLimits
+from skd_sim.world.dynamics.basic import CommandLimits, steering_angle
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*")
 
@@ -43,12 +43,16 @@ class CommandFormat:
         quantity: what the number is.
         limit: path of another number, the greatest change of speed that a speed target asks for, m/s², 0: any; or
             empty: there is none.
+        steering: path of the number that steers, to the left; or empty: the command does not steer.
+        is_yaw_rate: whether that number is a yaw rate, rad/s, and not the angle of the front wheels, rad.
     """
 
     type: str
     field: str
     quantity: Quantity
     limit: str = ""
+    steering: str = ""
+    is_yaw_rate: bool = False
 
     @property
     def package(self) -> str:
@@ -57,13 +61,28 @@ class CommandFormat:
 
 
 NAMED_FORMATS = {
-    "accel_stamped": CommandFormat("geometry_msgs/msg/AccelStamped", "accel.linear.x", Quantity.ACCELERATION),
-    "twist_stamped": CommandFormat("geometry_msgs/msg/TwistStamped", "twist.linear.x", Quantity.SPEED),
-    "twist": CommandFormat("geometry_msgs/msg/Twist", "linear.x", Quantity.SPEED),
+    # It has no field for a steering angle, which SKD's own node has to send to the last bit.
+    "accel_stamped": CommandFormat(
+        "geometry_msgs/msg/AccelStamped", "accel.linear.x", Quantity.ACCELERATION, steering="accel.angular.z"
+    ),
+    "twist_stamped": CommandFormat(
+        "geometry_msgs/msg/TwistStamped",
+        "twist.linear.x",
+        Quantity.SPEED,
+        steering="twist.angular.z",
+        is_yaw_rate=True,
+    ),
+    "twist": CommandFormat(
+        "geometry_msgs/msg/Twist", "linear.x", Quantity.SPEED, steering="angular.z", is_yaw_rate=True
+    ),
     # Its definition: drive at the speed; an acceleration of zero means as quickly as possible, another one is the
     # desired magnitude, of decelerations too.
     "ackermann": CommandFormat(
-        "ackermann_msgs/msg/AckermannDriveStamped", "drive.speed", Quantity.SPEED, "drive.acceleration"
+        "ackermann_msgs/msg/AckermannDriveStamped",
+        "drive.speed",
+        Quantity.SPEED,
+        "drive.acceleration",
+        "drive.steering_angle",
     ),
 }
 
@@ -84,6 +103,15 @@ def follow_speed(target: float, speed: float, duration: float, bounds: CommandLi
     return bounds.clip(change)
 
 
+_SLOW = 0.5
+"""m/s below which a yaw rate is followed as at this speed: a standing car does not turn."""
+
+
+def angle_of_yaw_rate(yaw_rate: float, speed: float, wheelbase: float) -> float:
+    """Return the steering angle (rad) for a yaw rate (rad/s) at a speed (m/s)."""
+    return steering_angle(yaw_rate / max(speed, _SLOW), wheelbase)
+
+
 def command_format(options: CommandOptions) -> CommandFormat:
     """Return the kind of command that options ask for; whether the type has such a field is not looked at.
 
@@ -92,10 +120,10 @@ def command_format(options: CommandOptions) -> CommandFormat:
     """
     named = NAMED_FORMATS.get(options.command_type)
     if named is not None:
-        if options.command_field:
+        if options.command_field or options.command_steering:
             raise UsageError(
-                f"command_field goes with a type of yours: command_type {options.command_type} already says "
-                f"{named.field} of {named.type}"
+                f"command_field and command_steering go with a type of yours: command_type {options.command_type} "
+                f"already says {named.field} of {named.type}"
             )
         return named
     if not _TYPE.fullmatch(options.command_type):
@@ -103,11 +131,12 @@ def command_format(options: CommandOptions) -> CommandFormat:
             f"command_type must be one of {', '.join(NAMED_FORMATS)}, or a message type as in "
             f"my_msgs/msg/Command; got {options.command_type!r:.80}"
         )
-    return CommandFormat(options.command_type, options.command_field, Quantity(options.command_quantity))
+    quantity = Quantity(options.command_quantity)
+    return CommandFormat(options.command_type, options.command_field, quantity, steering=options.command_steering)
 
 
-Reader = Callable[[Any], tuple[int | None, tuple[float, float]]]
-"""From a message to its stamp (ns; none where the type has none) and the command with its limit (0: none)."""
+Reader = Callable[[Any], tuple[int | None, tuple[float, float, float]]]
+"""From a message to its stamp (ns; none where the type has none) and the command, its limit (0: none), and steering."""
 
 _STEP = re.compile(r"([A-Za-z]\w*)(?:\[(\d+)\])?")
 _ARRAY = re.compile(r"sequence<([^,>]+).*>|(.+)\[(\d+)\]")  # of any length, or of a fixed one
@@ -142,15 +171,18 @@ def car_commands(options: CommandOptions) -> CarCommands:
     chosen = command_format(options)
     kind = message_class(chosen.type)
     take = _getter(chosen.field, kind, chosen.type)
-    limit = _getter(chosen.limit, kind, chosen.type) if chosen.limit else None
+    limit, steering = (
+        _getter(field, kind, chosen.type) if field else (lambda _message: 0.0)
+        for field in (chosen.limit, chosen.steering)
+    )
     fields = _fields(kind)
     stamp = operator.attrgetter("header.stamp") if fields.get("header") == _HEADER else None
     if stamp is None and fields.get("stamp") == _TIME:
         stamp = operator.attrgetter("stamp")
 
-    def read(message: Any) -> tuple[int | None, tuple[float, float]]:
+    def read(message: Any) -> tuple[int | None, tuple[float, float, float]]:
         said = from_stamp(stamp(message)) if stamp else None
-        return said, (float(take(message)), float(limit(message)) if limit else 0.0)
+        return said, (float(take(message)), float(limit(message)), float(steering(message)))
 
     return CarCommands(chosen, kind, stamp is not None, read)
 

@@ -154,11 +154,13 @@ class ControlStep(NamedTuple):
         drive: what the car under test commanded: an acceleration (m/s²), or a speed target (m/s).
         velocity: velocity of the adversary, (East, North), m/s.
         limit: greatest change of speed that a speed target allows, m/s²; with 0 any is allowed.
+        steering: a steering angle (rad), or a yaw rate (rad/s), to the left.
     """
 
     drive: float
     velocity: tuple[float, float]
     limit: float = 0.0
+    steering: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -265,16 +267,19 @@ class Lockstep:
         """Leave the running episode without a message."""
         self._frame = None
 
-    def drive(self, stamp: int | None, command: float, limit: float = 0.0, *, now: float = math.nan) -> Action | None:
+    def drive(
+        self, stamp: int | None, command: float, limit: float = 0.0, steering: float = 0.0, *, now: float = math.nan
+    ) -> Action | None:
         """Take a command of the car.
 
         Args:
             stamp: stamp that the command carries, ns; a message without one is for the running tick.
             command: acceleration (m/s²) or speed target (m/s).
             limit: greatest change of speed that a speed target allows, m/s²; with 0 any is allowed.
+            steering: a steering angle (rad), or a yaw rate (rad/s), to the left.
             now: time on the monotonic clock, s; without it the command's age is not known.
         """
-        answer = (command, limit) if limit else (command,)
+        answer = (command, limit, steering) if limit or steering else (command,)
         if self._quiet_time:
             return self._hear(stamp, answer, now)
         return self._answer(self._car, stamp, answer, now)

@@ -21,7 +21,7 @@ from skd_msgs.msg import EpisodeResult
 
 from skd_sim.errors import UsageError
 from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, SimulatorOptions, StateOptions, values_of
-from skd_sim.ros.commands import Quantity, car_commands, follow_speed
+from skd_sim.ros.commands import Quantity, angle_of_yaw_rate, car_commands, follow_speed
 from skd_sim.ros.diagnosis import Awaited, Evidence, diagnose
 from skd_sim.ros.discovery import kind_name, second_publisher
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
@@ -51,7 +51,7 @@ from skd_sim.ros.support import (
 )
 from skd_sim.ros.to_messages import acceleration_command, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
-from skd_sim.world.dynamics.basic import CommandLimits
+from skd_sim.world.dynamics.basic import Command, CommandLimits, wheels
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import Schedule
@@ -150,6 +150,7 @@ class GraphSimulator:
             walks = _Publishers(node, node.create_subscription(TwistStamped, VELOCITY_COMMAND, on_velocity, STREAM))
         low, high = -values["maximum_deceleration"], values["maximum_acceleration"]
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
+        self._yaw_rate = commands.format.is_yaw_rate
         real_time = values["pacing"] == REAL_TIME
         if real_time and values["quiet_time"]:
             raise UsageError("quiet_time goes with --pacing lockstep: real time does not wait")
@@ -171,6 +172,7 @@ class GraphSimulator:
         self._message = message
         self._start = from_stamp(message.header.stamp)
         self._schedule = None
+        self._commands: list[tuple[float, float]] = []
         try:
             self._episode: EpisodeSpec = message_to_episode(message)
             require_others(self._simulator, self._node.get_name(), self._episode)
@@ -233,17 +235,21 @@ class GraphSimulator:
             self._stop()
 
     def _step(self, commands: ControlStep) -> None:
-        acceleration = commands.drive
+        acceleration, steering, car = commands.drive, commands.steering, self._frame.car
+        if self._yaw_rate:
+            steering = angle_of_yaw_rate(steering, car.speed, wheels(self._episode.scenario.car)[0])
         if self._follows is not None:
-            duration, speed = self._episode.scenario.control_duration, self._frame.car.speed
-            acceleration = follow_speed(commands.drive, speed, duration, self._follows, commands.limit)
+            duration = self._episode.scenario.control_duration
+            acceleration = follow_speed(commands.drive, car.speed, duration, self._follows, commands.limit)
         if self._applied.get_subscription_count():
             stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
-            self._applied.publish(acceleration_command(acceleration, stamp))
-        try:
-            self._frame = self._simulator.step(acceleration, commands.velocity)
-        except SimulatorError as fault:
-            self._do(self._lockstep.fail(str(fault)))
+            self._applied.publish(acceleration_command((acceleration, steering), stamp))
+        self._commands.append((acceleration, steering))
+        try:  # a simulator of others need not know that a command can be two numbers
+            command: Command = (acceleration, steering) if steering else acceleration
+            self._frame = self._simulator.step(command, commands.velocity)
+        except (SimulatorError, UsageError) as fault:
+            self._do(self._lockstep.fail(_reason(fault)))
             return
         end = self._lockstep.advance(self._frame, time.monotonic())
         self._publish_state()
@@ -270,6 +276,9 @@ class GraphSimulator:
         result.episode_id = int(self._message.episode_id)
         result.start = to_stamp(self._start)
         result.commands_clipped = clipped
+        result.accelerations, result.steering_angles = (
+            array("d", (one[part] for one in self._commands)) for part in (0, 1)
+        )
         result.command_ages = array("f", self._lockstep.ages.ages)
         result.commands_held = self._lockstep.ages.held
         result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst
@@ -279,6 +288,10 @@ class GraphSimulator:
         if self._result.get_subscription_count():
             self._result.publish(result)
         self.on_result(result)
+
+
+def _reason(fault: Exception) -> str:
+    return str(fault) if isinstance(fault, SimulatorError) else abort_reason(AbortKind.FAILED, str(fault))
 
 
 def _identity(message: Any) -> tuple[str, int, int]:

@@ -17,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from skd_sim.options.options import ADVERSARY_FRAME, FIELDS, FRAMES, MAP_FRAME, Frames, options_of, options_to_text
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.dynamics.basic import Command, as_pair
 from skd_sim.world.episode import EpisodeSpec, controller_seed
 from skd_sim.world.sensors import Inertia, Scan
 from skd_sim.world.state import AdversaryState, CarState, Scene, to_body
@@ -160,12 +161,12 @@ def scan_to_points(scan: Scan, stamp: int, frames: Frames = FRAMES) -> PointClou
     return message
 
 
-def acceleration_command(acceleration: float, stamp: int) -> AccelStamped:
-    """Return the car's command for the tick with this stamp (ns), m/s²."""
+def acceleration_command(command: Command, stamp: int) -> AccelStamped:
+    """Return the car's command for the tick with this stamp (ns): m/s², and as `accel.angular.z` what it steers by."""
     message = AccelStamped()
     message.header.stamp = to_stamp(stamp)
     message.header.frame_id = FRAMES.base
-    message.accel.linear.x = float(acceleration)
+    message.accel.linear.x, message.accel.angular.z = as_pair(command)
     return message
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame
-from skd_sim.world.dynamics.basic import CommandLimits
+from skd_sim.world.dynamics.basic import Command, CommandLimits, as_pair
 from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 from skd_sim.world.world import Contact, first_contact_of, make_world
@@ -94,12 +94,15 @@ class FramedSimulator:
         self._origin = self._now.adversary
         return self._now
 
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
         """Watch the frames of one control period.
 
         A tick ends early at a contact: what the simulator does to an adversary that has been hit is no part of its
         trajectory, which ends where its own command would have taken it by the end of the tick.
         """
+        acceleration, steering = as_pair(command)
+        if steering:
+            raise UsageError("the controller steers, which cars of another simulator cannot yet; take SKD's own world")
         possible = self._source.limits.clip(acceleration)
         self.clipped += possible != acceleration
         self._source.control(possible, velocity)

@@ -17,6 +17,7 @@ from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import SIMULATORS, is_own_world
 from skd_sim.options.registry import reason_of
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.dynamics.basic import Command
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.state import AdversaryState, CarState, Scene
 from skd_sim.world.world import Contact, World, make_world
@@ -75,14 +76,15 @@ class Simulator(Protocol):
             SimulatorError: it fails.
         """
 
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
         """Hold both commands for one control period (`Scenario.control_periods` of a tick), and return its end.
 
         A contact is looked for along all of it, and ends the tick, where the adversary's velocity takes it.
         `EpisodeSpec.outcome` says how an episode stands at a tick.
 
         Args:
-            acceleration: acceleration of the car, m/s², finite; what the car cannot do is clipped and counted.
+            command: of the car, finite: an acceleration, m/s², or one and a steering angle, rad; what the car cannot do
+                is clipped and counted.
             velocity: velocity of the adversary, (East, North), m/s, finite; the same throughout a tick.
 
         Raises:
@@ -115,10 +117,10 @@ class WorldSimulator:
         self._world = make_world(episode)
         return Frame(0, self._world.car, self._world.adversary)
 
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
         """Advance the world by one control period."""
         world = self._world
-        contact = world.step(acceleration, velocity)
+        contact = world.step(command, velocity)
         if world.period:
             return Frame(world.tick, world.car, world.adversary, period=world.period)
         outcome = self._episode.outcome(world.tick, world.adversary, collided=contact is not None)
@@ -189,7 +191,7 @@ class NamedSimulator:
             )
         return frame
 
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
         """Advance the simulator by one control period; see `Simulator.step`.
 
         Raises:
@@ -197,11 +199,11 @@ class NamedSimulator:
             SimulatorError: a state is not finite, or the adversary is not where its commands take it.
         """
         if self._is_own:
-            return self._simulator.step(acceleration, velocity)
+            return self._simulator.step(command, velocity)
         tick, period = self._now
         if period == 0:
             self._before, self._command = self._command, velocity
-        answer = self._call("step", lambda: self._simulator.step(acceleration, velocity))
+        answer = self._call("step", lambda: self._simulator.step(command, velocity))
         # A contact ends a tick before all of its control periods are over.
         ended = isinstance(answer, Frame) and answer.contact is not None and answer.period == 0
         following = (tick + 1, 0) if ended or period + 1 == self._periods else (tick, period + 1)
@@ -305,7 +307,7 @@ def make_simulator(name: str) -> Simulator:
         raise UsageError(f"simulator {name!r} cannot be made: {reason_of(error)}") from None
     missing = [method for method in ("reset", "step") if not callable(getattr(found, method, None))]
     if missing:
-        raise UsageError(f"simulator {name!r} needs the methods reset(episode) and step(acceleration, velocity)")
+        raise UsageError(f"simulator {name!r} needs the methods reset(episode) and step(command, velocity)")
     return cast("Simulator", found)
 
 

@@ -175,6 +175,8 @@ class EpisodeLog:
             it to itself.
         own_contact: time since the start of the first contact by the simulator's own shapes, s; nan without one. None
             where the simulator has no shapes of its own, or did not say; SKD's geometry alone counts.
+        commands: k × 2: acceleration (m/s²) and steering angle (rad) that were commanded in each control period; None
+            where they are not known.
         strayed: greatest distance (m) between the adversary and where its commands would have taken it, of another
             simulator in process; 0 of SKD's own world, which takes it there, and where it is not known.
     """
@@ -192,6 +194,7 @@ class EpisodeLog:
     belief: FloatArray | None = None
     own_contact: float | None = None
     strayed: float = 0.0
+    commands: FloatArray | None = None
 
     @property
     def hit(self) -> bool:

@@ -12,7 +12,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
-from skd_sim.world.dynamics.basic import CarDynamics, Noise, command_limits, make_dynamics
+from skd_sim.world.dynamics.basic import CarDynamics, Command, Noise, as_pair, command_limits, make_dynamics
 from skd_sim.world.episode import EpisodeSpec, Role, generator
 from skd_sim.world.state import AdversaryState, CarState, on_grid, velocity_on_grid
 
@@ -35,7 +35,7 @@ class World:
         adversary: state of the adversary now.
         tick: number of time steps taken.
         period: number of control periods taken since the last tick.
-        limits: least and greatest acceleration that the car can be commanded.
+        limits: of the commands that the car can follow.
         clipped: how many commands were beyond these limits.
     """
 
@@ -81,21 +81,21 @@ class World:
         """Simulated time since the start, s."""
         return (self.tick + self.period / self.scenario.control_periods) * self.scenario.time_step
 
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Contact | None:
+    def step(self, command: Command, velocity: tuple[float, float]) -> Contact | None:
         """Advance by one control period, which may be the whole time step; return the collision in it, if any.
 
         A tick in which there is one runs to its end under the same command: nothing is decided after the contact.
 
         Args:
-            acceleration: commanded acceleration of the car, m/s², finite; what it cannot do is clipped, counted.
+            command: of the car, finite; what it cannot do is clipped, counted.
             velocity: velocity of the adversary over the time step, (East, North), m/s; constant in it.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
         if self.period == 0:
             self._origin = self.adversary
-        command = float(acceleration)
-        possible = self.limits.clip(command)
-        self.clipped += possible != command
+        pair = as_pair(command)
+        possible = self.limits.possible(pair)
+        self.clipped += possible != pair
         self.adversary, contact = self._meet(self._advance(possible), (vx, vy))
         self.period += 1
         while contact is not None and self.period < self.scenario.control_periods:
@@ -106,12 +106,12 @@ class World:
             self._origin = self.adversary
         return contact
 
-    def _advance(self, acceleration: float) -> FloatArray:
+    def _advance(self, command: tuple[float, float]) -> FloatArray:
         if self.period == 0:
             self._noise = self._dynamics.draw(self._rng)
         periods = self.scenario.control_periods
         noise = Noise(self._noise.speed / periods, self._noise.acceleration)
-        path = self._dynamics.advance(acceleration, self.scenario.time_step / periods, noise)
+        path = self._dynamics.advance(command, self.scenario.time_step / periods, noise)
         self.car = CarState(*path[-1].tolist())
         return path
 

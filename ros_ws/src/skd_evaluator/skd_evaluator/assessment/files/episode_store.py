@@ -82,7 +82,7 @@ def digest_of_trajectory(one: Trajectory) -> bytes:
     return digest(positions.tobytes(), repr((positions.shape, float(one.time_step), one.name)).encode())
 
 
-_TABLES = ("adversary", "car", "belief")
+_TABLES = ("adversary", "car", "belief", "commands")
 _PLAIN = tuple(one.name for one in fields(EpisodeLog) if one.name not in ("episode", *_TABLES))
 
 
@@ -113,7 +113,7 @@ def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
 
 
 FILE_NAME = "episodes.sqlite"
-_FORMAT = 3
+_FORMAT = 4
 _AT_ONCE = 500  # keys in one query
 _TABLE = """
 CREATE TABLE episodes (

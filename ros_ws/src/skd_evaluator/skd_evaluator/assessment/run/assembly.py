@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import CarState
@@ -34,6 +35,7 @@ class EpisodeEnd:
     reason: str
     clipped: int = 0
     timing: Timing = UNTIMED
+    commands: FloatArray | None = None
 
 
 def _add(kept: dict[int, _State], stamp: int, state: _State, whose: str) -> None:
@@ -91,6 +93,7 @@ class Samples:
             reason=result.reason,
             clipped=result.clipped,
             timing=result.timing,
+            commands=result.commands,
         )
 
     def clear(self) -> None:
@@ -111,6 +114,7 @@ def result_from_message(message: Any) -> EpisodeEnd:
         str(message.reason),
         int(message.commands_clipped),
         timing,
+        np.column_stack([message.accelerations, message.steering_angles]).astype(np.float64),
     )
 
 

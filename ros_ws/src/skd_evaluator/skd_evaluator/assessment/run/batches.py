@@ -18,11 +18,12 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers.isolated import isolated
 from skd_sim.controllers.loading import UserController, make_controller
 from skd_sim.controllers.protocol import Controller, control_period_of, takes_batches, takes_scene
+from skd_sim.inputs.yaml_file import short
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
 from skd_sim.scenario.road import is_straight_north
 from skd_sim.world.contact import sweep
-from skd_sim.world.dynamics.basic import command_limits, drive_straight
+from skd_sim.world.dynamics.basic import STEERING_LIMIT, as_pair, command_limits, drive, wheels
 from skd_sim.world.episode import (
     EpisodeLog,
     EpisodeSpec,
@@ -41,7 +42,7 @@ from skd_evaluator.errors import AssessmentError
 ONE_IN: Final = 50
 """Of so many episodes side by side one is asked by the single form from its beginning to its end."""
 TOLERANCE: Final = 1e-4
-"""m/s² by which both forms may differ: what sums of single precision in another order come to."""
+"""m/s² or rad by which both forms may differ: what sums of single precision in another order come to."""
 
 
 class _Request(NamedTuple):
@@ -51,7 +52,7 @@ class _Request(NamedTuple):
         tick: number of the tick.
         rows: which episodes go on, m.
         states: of their cars and adversaries, 9 × m, as `UserController.commands` has them.
-        commands: accelerations, m, m/s².
+        commands: accelerations (m/s²) and steering angles (rad), m × 2.
     """
 
     tick: int
@@ -67,7 +68,9 @@ class _Numbers(NamedTuple):
     radius: float
     time_step: float
     periods: int
-    commands: tuple[float, float]  # the least and the greatest, m/s²
+    least: float  # acceleration that can be commanded, m/s²
+    greatest: float
+    axles: tuple[float, float]
     minimum_impact_speed: float
 
 
@@ -85,9 +88,10 @@ def why_not_batched(episode: EpisodeSpec) -> str:
     return ""
 
 
-CAR, USER, ORIGIN, SHARE, IMPACT = slice(0, 4), slice(4, 9), slice(9, 11), 11, 12
-"""Where in the 13 numbers of an episode's state are: car and adversary (as `CarState` and `AdversaryState`), where the
-adversary was when the tick began, share of the tick and speed at the contact (infinity and nan without one)."""
+CAR, USER, ORIGIN, SHARE, IMPACT, ANGLE = slice(0, 4), slice(4, 9), slice(9, 11), 11, 12, 13
+"""Where in the 14 numbers of an episode's state are: car and adversary (as `CarState` and `AdversaryState`), where the
+adversary was when the tick began, share of the tick and speed at the contact (infinity and nan without one), and the
+steering angle, rad."""
 
 
 @kernel
@@ -95,7 +99,7 @@ def _advance(
     numbers: _Numbers,
     tick: int,
     period: int,
-    command: float,
+    command: tuple[float, float],
     velocities: FloatArray,
     noise: FloatArray,
     state: FloatArray,
@@ -103,15 +107,15 @@ def _advance(
     """Advance an episode by a control period, or, with a contact, to the end of the tick: none decides after it."""
     footprint, shape = numbers.footprint, (numbers.radius, 0.0, 0.0)
     step, periods = numbers.time_step, numbers.periods
-    path = np.empty((2, 4))
-    held = min(numbers.commands[1], max(numbers.commands[0], command))
+    acceleration = min(numbers.greatest, max(numbers.least, command[0]))
+    held = acceleration, min(STEERING_LIMIT, max(-STEERING_LIMIT, command[1]))
     vx, vy = velocities[tick, 0], velocities[tick, 1]
     if period == 0:
         state[9], state[10] = state[4], state[5]
     x, y = state[9], state[10]
-    speed_draw, draw, duration = noise[tick, 0] / periods, noise[tick, 1], step / periods
-    drive_straight(state[0], state[1], state[2], state[3], held, speed_draw, draw, duration, path)
-    state[0], state[1], state[3] = path[1, 0], path[1, 1], path[1, 3]
+    draws, duration = (noise[tick, 0] / periods, noise[tick, 1]), step / periods
+    path, state[13] = drive((state[0], state[1], state[2], state[3]), state[13], held, draws, duration, numbers.axles)
+    state[0:4] = path[-1]
     end = (x + step * vx, y + step * vy)
     share, impact = sweep(path, (x, y), end, (vx, vy), 0.0, footprint, shape, step, period, periods)
     contact = share <= 1.0 and impact >= numbers.minimum_impact_speed
@@ -124,8 +128,9 @@ def _advance(
     if contact:
         state[11], state[12] = share, impact
         for _ in range(period + 1, periods):
-            drive_straight(state[0], state[1], state[2], state[3], held, speed_draw, draw, duration, path)
-            state[0], state[1], state[3] = path[1, 0], path[1, 1], path[1, 3]
+            car = state[0], state[1], state[2], state[3]
+            path, state[13] = drive(car, state[13], held, draws, duration, numbers.axles)
+            state[0:4] = path[-1]
 
 
 @kernel
@@ -142,7 +147,7 @@ def _advance_all(
     """Advance some of the episodes by a control period."""
     for at in range(rows.shape[0]):
         row = rows[at]
-        _advance(numbers, tick, period, commands[at], velocities[row], noise[row], states[row])
+        _advance(numbers, tick, period, (commands[at, 0], commands[at, 1]), velocities[row], noise[row], states[row])
 
 
 class Replay:
@@ -168,14 +173,14 @@ class Replay:
         state, noise, numbers = self._begin.copy(), self._noise, self._numbers
         controller.reset(episode.public_scenario, controller_generator(self._seed))
         command, sees_scene = controller.command, takes_scene(controller)
-        found = np.empty((ticks + 1, 13))
+        found = np.empty((ticks + 1, len(state)))
         found[0] = state
         for tick in range(ticks):
             for period in range(periods):
                 now = state.tolist()
                 car, user = CarState(*now[CAR]), AdversaryState(*now[USER])
                 seen: Any = Scene(car, user) if sees_scene else user
-                _advance(numbers, tick, period, command(car, seen), velocities, noise, state)
+                _advance(numbers, tick, period, as_pair(command(car, seen)), velocities, noise, state)
                 if state[SHARE] <= 1.0:
                     break
             found[tick + 1] = state
@@ -185,7 +190,7 @@ class Replay:
 
 
 def _log(episode: EpisodeSpec, states: FloatArray) -> EpisodeLog:
-    share, impact = states[-1, SHARE:].tolist()
+    share, impact = states[-1, SHARE:ANGLE].tolist()
     collided = share <= 1.0
     time = (len(states) - 2 + share) * episode.scenario.time_step if collided else math.nan
     assert episode.safe_trajectory is not None
@@ -257,7 +262,7 @@ def _first_state(episode: EpisodeSpec) -> FloatArray:
     start = generator(episode.seed, episode.episode_id, Role.START)
     car = first_car_state(episode.scenario, episode.start_gap, start)
     user = episode.scenario.adversary.first_state(*episode.start)
-    return np.array([*car, *user, *user[:2], math.inf, math.nan])
+    return np.array([*car, *user, *user[:2], math.inf, math.nan, 0.0])
 
 
 def _noise(episode: EpisodeSpec, ticks: int) -> FloatArray:
@@ -275,7 +280,9 @@ def _numbers(episode: EpisodeSpec) -> _Numbers:
         scenario.adversary.reach,
         scenario.time_step,
         scenario.control_periods,
-        (limits.least, limits.greatest),
+        limits.least,
+        limits.greatest,
+        wheels(car),
         scenario.collision.minimum_impact_speed,
     )
 
@@ -334,10 +341,10 @@ def _compare(single: UserController, episode: EpisodeSpec, requested: _Request, 
     numbers = requested.states[:, at].tolist()
     car, user = CarState(*numbers[:4]), AdversaryState(*numbers[4:])
     seen = Scene(car, user) if single.takes_scene else user
-    alone, together = single.command(car, seen), float(requested.commands[at])  # type: ignore[arg-type]
-    if not abs(alone - together) <= TOLERANCE:
+    alone, together = as_pair(single.command(car, seen)), tuple(requested.commands[at].tolist())  # type: ignore[arg-type]
+    if not math.dist(alone, together) <= TOLERANCE:
         raise AssessmentError(
-            f"controller {episode.controller}: commands answers {together:.6g} m/s² where command answers "
-            f"{alone:.6g} m/s² (tick {requested.tick} of episode {episode.episode_id}): both have to be the same car, "
+            f"controller {episode.controller}: commands answers {short(together)} where command answers "
+            f"{short(alone)} (tick {requested.tick} of episode {episode.episode_id}): both have to be the same car, "
             "without a memory of its own; mend commands, or leave it out"
         )

@@ -12,6 +12,7 @@ from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import Controller, is_sensing, require_control_period, require_sensor, sight_of
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import NamedSimulator, Simulator, SimulatorError, require_others
+from skd_sim.world.dynamics.basic import Command, as_pair
 from skd_sim.world.episode import (
     AbortKind,
     EpisodeLog,
@@ -77,6 +78,7 @@ def _run(
     frames, velocity = [frame], (0.0, 0.0)
     believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
     believed: list[BelievedCar] = []
+    commands: list[Command] = []
     while frame.outcome == Outcome.RUNNING:
         if frame.period == 0:  # before the car, whose controller an adversary may look at
             velocity = adversary.act(frame.car)
@@ -84,8 +86,8 @@ def _run(
                 believed.append(believer.believed_car)
         if sensing and laser:
             sensing.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
-        acceleration = car.command(frame.car, sight(frame.car, frame.adversary, frame.tick, frame.period))
-        frame = simulator.step(acceleration, velocity)
+        commands.append(car.command(frame.car, sight(frame.car, frame.adversary, frame.tick, frame.period)))
+        frame = simulator.step(commands[-1], velocity)
         if frame.period == 0:
             frames.append(frame)
     impact_time, impact_speed = frame.impact(episode.scenario.time_step)
@@ -101,6 +103,7 @@ def _run(
         belief=_belief(believed, len(frames)),
         own_contact=getattr(simulator, "own_contact", None),
         strayed=getattr(simulator, "strayed", 0.0),
+        commands=np.array(list(map(as_pair, commands))),
     )
 
 

@@ -29,6 +29,7 @@ from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.simulators.simulator import Frame, WorldSimulator
+from skd_sim.world.dynamics.basic import Command
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import CarState, Trajectory
 
@@ -165,9 +166,9 @@ class ShownRecording:
         self.places = [begin[:2]]
         return frame._replace(car=begin)
 
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
         """Advance the world by one control period."""
-        frame = self._inner.step(acceleration, velocity)
+        frame = self._inner.step(command, velocity)
         if frame.period == 0:
             self.places.append(frame.car[:2])
         number = min(frame.tick * self._periods + frame.period, len(self._states) - 1)

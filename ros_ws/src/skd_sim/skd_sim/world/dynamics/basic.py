@@ -1,6 +1,8 @@
 """The interface of a car's dynamics, the limits of its commands, and the paper's basic car.
 
-The speed of the basic car follows the command at once, up to noise (section "The Cars").
+The speed of the basic car follows the command at once, up to noise (section "The Cars"). Until its first steering
+command other than 0 it keeps to its lane; then it is a kinematic bicycle (Kong et al., "Kinematic and dynamic vehicle
+models for autonomous driving control design", IV 2015) within a friction circle, in which braking comes first.
 
 Brakes of the basic car hold `car.brake_limit` or what the tyres do, whichever is less, but at least `car.deceleration`,
 which is what the scenario says that this car can do. The multi-body car has tyres of its own; only its brake is limited
@@ -20,8 +22,8 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.stream import stream_of
 from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.options.registry import load
-from skd_sim.scenario.road import is_straight_north, road_pose, road_position
-from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.road import advanced, is_straight_north, road_curvature, road_pose, road_position
+from skd_sim.scenario.scenario import Car, Scenario
 from skd_sim.world.state import CarState, draw_relative, next_speed, on_grid, travelled
 
 
@@ -37,6 +39,10 @@ class Noise(NamedTuple):
     acceleration: float
 
 
+Command = float | tuple[float, float]
+"""An acceleration (m/s²), or one and a steering angle of the front wheels (rad, to the left); a float steers by 0."""
+
+
 class CarDynamics(Protocol):
     """A car that can be driven.
 
@@ -49,11 +55,11 @@ class CarDynamics(Protocol):
     def draw(self, rng: np.random.Generator) -> Noise:
         """Draw the noise of a tick; the same number of draws whatever the car does."""
 
-    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
+    def advance(self, command: tuple[float, float], duration: float, noise: Noise) -> FloatArray:
         """Drive on under one command.
 
         Args:
-            acceleration: commanded acceleration, m/s², which the car may follow or not.
+            command: acceleration, m/s², and steering angle, rad, which the car may follow or not.
             duration: time to drive, s: a control period of the scenario, or a part of it.
             noise: relative noise of the acceleration, and of the speed over this duration.
 
@@ -78,6 +84,27 @@ GRIP = PEAK_FRICTION * GRAVITY
 """m/s² that tyres hold on a dry road."""
 
 
+WHEELBASE = 2.6 / 4.5
+"""Of the car's length: 2.6 m of a compact car of 4.5 m, its axles as far from either end."""
+STEERING_LIMIT, STEERING_RATE = 0.61, 0.6
+"""rad and rad/s at the front wheels: 35°, and 515 °/s at the steering wheel with a ratio of 15, of somebody who evades.
+CommonRoad's BMW 320i has 1.066 rad and 0.4 rad/s."""
+SIDE_GRIP = 0.8 * GRAVITY
+"""m/s², radius of the friction circle: what passenger cars hold on a dry skid pad."""
+_PIECE = 0.01  # s of a bend between two points of a path
+
+
+def wheels(car: Car) -> tuple[float, float]:
+    """Return a car's wheelbase, and how far its rear axle is behind the reference point, m."""
+    wheelbase = WHEELBASE * (car.front + car.rear)
+    return wheelbase, 0.5 * (wheelbase - car.front + car.rear)
+
+
+def steering_angle(curvature: float, wheelbase: float) -> float:
+    """Return the steering angle (rad) with which the rear axle follows a curvature (1/m, to the left)."""
+    return math.atan(wheelbase * curvature)
+
+
 class CommandLimits(NamedTuple):
     """Least and greatest acceleration that a command can mean, m/s²."""
 
@@ -93,6 +120,15 @@ class CommandLimits(NamedTuple):
         if not math.isfinite(acceleration):
             raise ValueError(f"a command must be a finite number (m/s²), got {acceleration}")
         return min(self.greatest, max(self.least, acceleration))
+
+    def possible(self, command: tuple[float, float]) -> tuple[float, float]:
+        """Return acceleration and steering angle of a command within the limits; see `clip`."""
+        return self.clip(command[0]), min(STEERING_LIMIT, max(-STEERING_LIMIT, command[1]))
+
+
+def as_pair(command: Command) -> tuple[float, float]:
+    """Return the acceleration and the steering angle of a command."""
+    return (float(command[0]), float(command[1])) if isinstance(command, tuple) else (float(command), 0.0)
 
 
 def command_limits(scenario: Scenario) -> CommandLimits:
@@ -126,37 +162,54 @@ def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generato
 
 
 @kernel
-def drive_straight(
-    x: float,
-    y: float,
-    heading: float,
-    speed: float,
-    acceleration: float,
-    speed_draw: float,
-    acceleration_draw: float,
+def drive(
+    car: tuple[float, float, float, float],
+    angle: float,
+    command: tuple[float, float],
+    noise: tuple[float, float],
     duration: float,
-    path: FloatArray,
-) -> None:
-    """Drive straight on under one command, and write both ends of the way into `path`, 2 × 4.
+    axles: tuple[float, float],
+) -> tuple[FloatArray, float]:
+    """Return a car's path under one command, and its steering angle (rad) at the end; see `CarDynamics.advance`.
 
     Args:
-        x: of the reference point, m.
-        y: of the reference point, m.
-        heading: rad.
-        speed: m/s.
-        acceleration: commanded, m/s².
-        speed_draw: relative noise of the speed.
-        acceleration_draw: relative noise of the acceleration.
+        car: x, y of the reference point (m), heading (rad), speed (m/s).
+        angle: of the front wheels, rad.
+        command: acceleration (m/s²) and steering angle (rad).
+        noise: relative, of the speed and of the acceleration.
         duration: time to drive, s.
-        path: x, y, heading and speed now and after that time.
+        axles: wheelbase, and how far the rear axle is behind the reference point, m.
     """
-    applied = acceleration + acceleration_draw * acceleration
-    after = next_speed(speed, applied, speed_draw, duration)
-    distance = travelled(speed, after, duration)
+    x, y, heading, speed = car
+    acceleration, steering = command
+    applied = acceleration + noise[1] * acceleration
+    after = next_speed(speed, applied, noise[0], duration)
+    bends = angle != 0.0 or steering != 0.0
+    pieces = max(1, math.ceil(duration / _PIECE)) if bends else 1
+    path = np.empty((pieces + 1, 4))
     path[0, 0], path[0, 1], path[0, 2], path[0, 3] = x, y, heading, speed
-    path[1, 0] = x + distance * math.cos(heading)
-    path[1, 1] = y + distance * math.sin(heading)
-    path[1, 2], path[1, 3] = heading, after
+    if not bends:
+        distance = travelled(speed, after, duration)
+        path[1, 0] = x + distance * math.cos(heading)
+        path[1, 1] = y + distance * math.sin(heading)
+        path[1, 2], path[1, 3] = heading, after
+        return path, 0.0
+    wheelbase, behind = axles
+    side = math.sqrt(max(0.0, SIDE_GRIP * SIDE_GRIP - applied * applied))
+    turn, before = STEERING_RATE * duration / pieces, speed
+    for piece in range(1, pieces + 1):
+        then = after if piece == pieces else speed + piece / pieces * (after - speed)
+        fastest = max(before, then)
+        most = math.atan(wheelbase * side / (fastest * fastest)) if fastest > 0.0 else STEERING_LIMIT
+        held = min(most, max(-most, angle))
+        angle = min(most, max(-most, held + min(turn, max(-turn, steering - held))))
+        tangent = math.tan(0.5 * (held + angle))
+        slip = math.atan(behind / wheelbase * tangent)
+        curvature, distance = math.cos(slip) * tangent / wheelbase, travelled(before, then, duration / pieces)
+        x, y, course = advanced(x, y, heading + slip, curvature, distance)
+        heading, before = on_grid(course - slip), then
+        path[piece, 0], path[piece, 1], path[piece, 2], path[piece, 3] = x, y, heading, then
+    return path, angle
 
 
 @kernel
@@ -187,28 +240,32 @@ def along_road(line: FloatArray, s: float, distance: float, speed: float, after:
 
 
 class BasicCar:
-    """A point with a speed; on a road with curves it keeps to the centre line."""
+    """A point with a speed that keeps to its lane until it is steered, and a kinematic bicycle from then on."""
 
     def __init__(self, scenario: Scenario) -> None:
-        """Take noise and road from the scenario."""
+        """Take noise, road and axles from the scenario."""
         self._noise = (scenario.car.speed_noise, scenario.car.acceleration_noise)
         self._line = scenario.road.line
         self._curved = not is_straight_north(self._line)
+        self._axles = wheels(scenario.car)
 
     def reset(self, car: CarState) -> None:
         """Put the car at this state; on a road with curves, at the nearest point of the centre line."""
-        self._car = car
+        self._car, self._angle = car, 0.0
+        self._keeps_lane = self._curved
         self._s = float(road_position(self._line, car.x, car.y)[0])
 
     def draw(self, rng: np.random.Generator) -> Noise:
         """Draw both, so that a car that brakes and one that does not use up the same numbers."""
         return Noise(*_draw(*self._noise, stream_of(rng)))
 
-    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
-        """Return the two ends of a straight way, or points along the road; see `CarDynamics`."""
-        path = np.empty((2, 4))
-        drive_straight(*self._car, acceleration, *noise, duration, path)
-        if self._curved:
+    def advance(self, command: tuple[float, float], duration: float, noise: Noise) -> FloatArray:
+        """Return the two ends of a straight way, or points along a bend; see `CarDynamics`."""
+        if self._keeps_lane and command[1] != 0.0:
+            self._keeps_lane = False
+            self._angle = steering_angle(road_curvature(self._line, self._s), self._axles[0])
+        path, self._angle = drive((*self._car,), self._angle, command, (*noise,), duration, self._axles)
+        if self._keeps_lane:
             speed, after = float(path[0, 3]), float(path[1, 3])
             distance = float(travelled(speed, after, duration))
             path = along_road(self._line, self._s, distance, speed, after)

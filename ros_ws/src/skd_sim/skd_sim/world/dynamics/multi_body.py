@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import GRAVITY, PEAK_FRICTION, Noise
@@ -371,12 +372,16 @@ class MultiBodyCar:
         """Draw the command's perturbation; the speed has none."""
         return Noise(0.0, draw_relative(self._car.acceleration_noise, rng))
 
-    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
+    def advance(self, command: tuple[float, float], duration: float, noise: Noise) -> FloatArray:
         """Drive on; see `CarDynamics`.
 
         Raises:
+            UsageError: the command steers.
             ValueError: the duration is not a whole number of parts of about 10 ms of the scenario's control period.
         """
+        acceleration, steering = command
+        if steering:
+            raise UsageError("the controller steers, which car.dynamics multi_body cannot; take a scenario with basic")
         knots = round(duration / self._knot)
         if knots < 1 or abs(knots * self._knot - duration) > 1e-9:
             raise ValueError(f"duration {duration:g} s must be a multiple of {self._knot:g} s")

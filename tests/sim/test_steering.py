@@ -1,0 +1,211 @@
+"""A car that steers: closed forms, a simulation in steps of 1 ms, and the same states however it is run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from skd_adversary.adversary import ReplayAdversary
+from skd_evaluator.assessment.plausibility import ROUNDING, examine
+from skd_evaluator.assessment.run.batches import Replay, replayed
+from skd_evaluator.assessment.run.episodes import run_episode
+from skd_sim.controllers.loading import user_controller
+from skd_sim.errors import NoNumberError, UsageError
+from skd_sim.options.adversary import AdversaryModel
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.world.dynamics.basic import SIDE_GRIP, STEERING_LIMIT, STEERING_RATE, BasicCar, Noise, wheels
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
+
+CROSSING = load_scenario("crossing")
+WHEELBASE, BEHIND = wheels(CROSSING.car)
+NORTH = CarState(0.0, 0.0, math.pi / 2.0, 5.0)
+QUIET = Noise(0.0, 0.0)
+
+
+class Weaving:
+    """Brakes and steers by the time and by where the pedestrian is; the same in both of its forms."""
+
+    def __init__(self, period: float | None = 0.05) -> None:
+        self.control_period = period
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Nothing is kept."""
+
+    def command(self, car: CarState, adversary: AdversaryState) -> Any:
+        (acceleration, steering), *_ = self.commands(CarState(*map(np.atleast_1d, car)), adversary).tolist()
+        return acceleration, steering
+
+    def commands(self, cars: Any, adversary: Any) -> Any:
+        ahead = adversary.y - cars.y
+        steering = 0.25 * np.sin(0.9 * cars.y) + 0.05 * (adversary.x - cars.x) * (ahead < 8.0)
+        return np.column_stack([np.where(ahead < 6.0, -3.0, 0.5), steering])
+
+
+class Constant:
+    """Always commands the same."""
+
+    def __init__(self, answer: Any, **attributes: Any) -> None:
+        self._answer = answer
+        vars(self).update(attributes)
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Nothing is kept."""
+
+    def command(self, car: CarState, adversary: AdversaryState) -> Any:
+        return self._answer
+
+
+def episode(number: int = 0, *, period: float | None = 0.05, scenario: Scenario = CROSSING) -> EpisodeSpec:
+    """Return one in which somebody walks across, slower or faster by its number."""
+    pace = 1.0 + 0.3 * (number % 6)
+    x = -3.5 + 0.3 * pace * np.arange(30)
+    phi = Trajectory(np.column_stack([x, 0.1 * (number % 5) * np.sin(x)]), 0.3)
+    timed = replace(scenario, control_period=period)
+    car, generic = f"{__file__}:Weaving", AdversaryModel.GENERIC
+    return EpisodeSpec(timed, Mode.REPLAY, 5, number, phi, controller=car, adversary_model=generic)
+
+
+def run(spec: EpisodeSpec, controller: Any) -> EpisodeLog:
+    assert spec.safe_trajectory is not None
+    return run_episode(spec, controller, ReplayAdversary(spec.safe_trajectory))
+
+
+def same(one: EpisodeLog, other: EpisodeLog) -> bool:
+    impacts = [(log.outcome, log.impact_time, log.impact_speed) for log in (one, other)]
+    return repr(impacts[0]) == repr(impacts[1]) and all(
+        getattr(one, name).tobytes() == getattr(other, name).tobytes() for name in ("car", "adversary")
+    )
+
+
+@pytest.mark.parametrize("name", ["crossing", "curve"])
+def test_a_float_is_a_command_that_steers_by_0(name: str) -> None:
+    data = CROSSING.as_dict()
+    if name == "curve":
+        data["road"] |= {"parts": [{"length": 30.0, "radius": 30.0, "turn": "left"}], "origin": 20.0}
+    spec = episode(scenario=scenario_from_dict(data), period=None)
+    assert same(run(spec, Constant(-1.5)), run(spec, Constant((-1.5, 0.0))))
+
+
+@pytest.mark.parametrize("angle", [0.05, -0.2, 0.5])
+def test_a_constant_angle_drives_a_circle(angle: float) -> None:
+    car = BasicCar(CROSSING)
+    car.reset(NORTH)
+    for _ in range(20):  # until the wheels are turned
+        car.advance((0.0, angle), 0.05, QUIET)
+    points = np.concatenate([car.advance((0.0, angle), 0.3, QUIET)[1:] for _ in range(40)])
+    x, y = points[:, 0], points[:, 1]
+    solved = np.linalg.lstsq(np.column_stack([2 * x, 2 * y, np.ones_like(x)]), x * x + y * y, rcond=None)[0]
+    radii = np.hypot(x - solved[0], y - solved[1])
+    assert radii == pytest.approx(math.hypot(WHEELBASE / math.tan(angle), BEHIND), abs=1e-3)
+    assert np.sign(points[1, 2] - points[0, 2]) == np.sign(angle)  # to the left where it is positive
+
+
+def test_tyres_hold_braking_first() -> None:
+    rng = np.random.default_rng(1)
+    car = BasicCar(CROSSING)
+    for _ in range(200):
+        car.reset(NORTH._replace(speed=float(rng.uniform(1.0, 30.0))))
+        for _ in range(10):
+            command = float(rng.uniform(-9.0, 3.0)), float(rng.uniform(-1.0, 1.0)) * STEERING_LIMIT
+            path = car.advance(command, 0.3, QUIET)
+            for before, after in pairwise(path):
+                turned = math.remainder(after[2] - before[2], math.tau)
+                driven = 0.5 * (before[3] + after[3]) * 0.3 / (len(path) - 1)
+                if driven > 0.0:
+                    sideways = max(before[3], after[3]) ** 2 * abs(turned) / driven
+                    allowed = math.sqrt(max(0.0, SIDE_GRIP**2 - command[0] ** 2))
+                    assert sideways <= allowed * (1.0 + 1e-6) + 1e-6
+
+
+def simulated(log: EpisodeLog) -> tuple[float, float] | None:
+    """Return where the road user is when it is first touched, by the bicycle's equations in steps of 1 ms."""
+    scenario, step = log.episode.scenario, 1e-3
+    x, y, heading, speed = log.car[0].tolist()
+    draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence(5, spawn_key=(log.episode.episode_id, 0))))
+    angle, periods, commands = 0.0, scenario.control_periods, log.commands
+    assert commands is not None
+    for number, (acceleration, steering) in enumerate(commands.tolist()):
+        tick, period = divmod(number, periods)
+        if period == 0:
+            speed_noise = scenario.car.speed_noise * (2.0 * draws.random() - 1.0) / periods
+            acceleration_noise = scenario.car.acceleration_noise * (2.0 * draws.random() - 1.0)
+        applied = acceleration * (1.0 + acceleration_noise)
+        rate = speed_noise * speed / scenario.control_duration + applied
+        start = speed
+        for _ in range(round(scenario.control_duration / step)):
+            angle += float(np.clip(steering - angle, -STEERING_RATE * step, STEERING_RATE * step))
+            most = math.atan(WHEELBASE * math.sqrt(max(0.0, SIDE_GRIP**2 - applied**2)) / max(speed, 1e-9) ** 2)
+            angle = float(np.clip(angle, -most, most))
+            slip = math.atan(BEHIND / WHEELBASE * math.tan(angle))
+            turn = speed * math.cos(slip) * math.tan(angle) / WHEELBASE
+            x += step * speed * math.cos(heading + 0.5 * step * turn + slip)
+            y += step * speed * math.sin(heading + 0.5 * step * turn + slip)
+            heading += step * turn
+            speed = max(0.0, speed + step * rate)
+            period += step / scenario.control_duration
+            share = period / periods
+            at = log.adversary[tick] + share * (log.adversary[tick + 1] - log.adversary[tick])
+            cos, sin, dx, dy = math.cos(heading), math.sin(heading), at[0] - x, at[1] - y
+            outside = abs(cos * dx + sin * dy) - scenario.car.front, abs(cos * dy - sin * dx) - scenario.car.half_width
+            if math.hypot(*(max(0.0, one) for one in outside)) <= (scenario.adversary.radius or 0.0):
+                return float(at[0]), float(at[1])
+        assert abs(speed - max(0.0, start + rate * scenario.control_duration)) < 1e-6
+    return None
+
+
+@pytest.mark.parametrize("period", [0.05, None])
+def test_contacts_are_those_of_steps_of_a_millisecond(period: float | None) -> None:
+    logs = [run(episode(number, period=period), Weaving(period)) for number in range(12)]
+    hits = 0
+    for log in logs:
+        place = simulated(log)
+        assert (place is not None) == (log.outcome == Outcome.COLLISION)
+        if place is not None:
+            hits += 1
+            assert math.dist(place, log.trajectory.positions[-1].tolist()) < 5e-3
+    assert hits >= 3
+
+
+def test_one_by_one_at_once_and_whole_episodes_are_the_same() -> None:
+    episodes = [episode(number) for number in range(4)]
+    controller = user_controller(Weaving(), "weaving")
+    whole = [run(one, controller) for one in episodes]
+    assert any(np.ptp(log.car[:, 2]) > 0.1 for log in whole)
+    assert all(same(Replay(one).run(one, controller), log) for one, log in zip(episodes, whole, strict=True))
+    assert all(same(found, log) for found, log in zip(replayed(episodes), whole, strict=True))
+
+
+def test_a_steered_log_follows_from_its_commands_and_an_altered_one_does_not() -> None:
+    for number in range(10):
+        for period in (0.05, None):
+            log = run(episode(number, period=period), Weaving(period))
+            verdict = examine(log)
+            assert not verdict.fault
+            assert verdict.deviation <= ROUNDING, verdict
+            for column, by in ((0, 0.05), (2, 0.05)):
+                altered = log.car.copy()
+                altered[len(altered) // 2, column] += by
+                assert examine(replace(log, car=altered)).deviation == pytest.approx(by)
+
+
+def test_answers_are_two_finite_numbers_and_may_be_a_curvature() -> None:
+    spec = episode(period=None)
+    for wrong in ((0.0, math.nan), (0.0, 1.0, 2.0), ("a", 0.0), [0.0], (True, 0.0)):
+        with pytest.raises(NoNumberError, match="or two"):
+            run(spec, user_controller(Constant(wrong), "wrong"))
+    with pytest.raises(UsageError, match="steers_by"):
+        user_controller(Constant(0.0, steers_by="wheel"), "wrong")
+    bent = user_controller(Constant(np.array([0.0, 0.1]), steers_by="curvature"), "bent")
+    assert same(run(spec, bent), run(spec, Constant((0.0, math.atan(WHEELBASE * 0.1)))))
+
+
+def test_what_a_car_cannot_steer_is_clipped_or_refused() -> None:
+    log = run(episode(period=None), Constant((0.0, 1.0)))
+    assert log.clipped == len(log.car) - 1
+    with pytest.raises(UsageError, match="multi_body"):
+        run(episode(period=None, scenario=load_scenario("crossing_multi_body")), Constant((0.0, 0.1)))
