@@ -42,6 +42,7 @@ Pose = tuple[float, float, float]
 """x, y, m, and heading, rad."""
 
 
+_ALIKE = 1e-6  # rad between two computations of a heading
 _SAME = 1e-6  # m between two computations of a way
 _OFF = 0.05  # m, at the most, by which a place is mended
 _AT_A_CORNER = 0.9  # of the radius: by how much the front is missed to the side at most
@@ -55,12 +56,17 @@ def car_at_contact(log: EpisodeLog) -> tuple[Pose, float]:
     return pose_at_contact(scenario, log.car[-2:], share, log.impact_speed), share
 
 
+def last_pose(log: EpisodeLog) -> Pose:
+    """Return the car's pose at the end: at the first contact, if there is one."""
+    if log.outcome == Outcome.COLLISION:
+        return car_at_contact(log)[0]
+    x, y, heading, _ = log.car[-1].tolist()
+    return x, y, heading
+
+
 def last_car_position(log: EpisodeLog) -> float:
     """Return the path coordinate of the car's reference point at the end, m: at the first contact, if there is one."""
-    x, y = log.car[-1, :2].tolist()
-    if log.outcome == Outcome.COLLISION:
-        (x, y, _), _ = car_at_contact(log)
-    return float(road_position(log.episode.scenario.road.line, x, y)[0])
+    return float(road_position(log.episode.scenario.road.line, *last_pose(log)[:2])[0])
 
 
 def car_until_contact(
@@ -101,11 +107,11 @@ def _off_the_front(scenario: Scenario, pose: Pose, adversary: FloatArray) -> flo
 
 def goes_straight(scenario: Scenario, ends: FloatArray) -> bool:
     """Return whether the car moves uniformly and straight on in a tick; see `pose_at_contact`."""
-    return scenario.road.straight and moves_uniformly(scenario, ends)
+    return scenario.road.straight and ends[0, 2] == ends[1, 2] and moves_uniformly(scenario, ends)
 
 
 def moves_uniformly(scenario: Scenario, ends: FloatArray) -> bool:
-    """Return whether the car moves uniformly along its lane in a tick; see `pose_at_contact`.
+    """Return whether the car moves uniformly along its path in a tick; see `pose_at_contact`.
 
     That is a car without tyres that decides once a tick, in a world whose tick does not end with a contact.
     """
@@ -115,7 +121,7 @@ def moves_uniformly(scenario: Scenario, ends: FloatArray) -> bool:
 
 
 def pose_at_contact(scenario: Scenario, ends: FloatArray, share: float, impact: float) -> Pose:
-    """Return the car's pose at the contact; it points where its lane does.
+    """Return the car's pose at the contact: along its lane in a curve, else along an arc between its headings.
 
     Args:
         scenario: fixed description of the test.
@@ -125,9 +131,11 @@ def pose_at_contact(scenario: Scenario, ends: FloatArray, share: float, impact: 
     """
     line = scenario.road.line
     driven = _share_driven(scenario, ends, share, impact)
-    x, y = (ends[0, :2] + driven * (ends[1, :2] - ends[0, :2])).tolist()
-    if scenario.road.straight:
-        return x, y, float(road_pose(line, y)[2])
+    if scenario.road.straight or leaves_line(scenario, ends):
+        x, y = (ends[0, :2] + driven * (ends[1, :2] - ends[0, :2])).tolist()
+        (dx, dy), turned = (ends[1, :2] - ends[0, :2]).tolist(), _turned(ends)
+        bulge = 0.5 * turned * driven * (1.0 - driven)
+        return x + bulge * dy, y - bulge * dx, float(ends[0, 2]) + driven * turned
     (before, aside), (after, aside_after) = (road_position(line, *one[:2].tolist()) for one in ends)
     x, y, heading = road_pose(line, before + driven * (after - before))
     left = aside + driven * (aside_after - aside)
@@ -135,9 +143,26 @@ def pose_at_contact(scenario: Scenario, ends: FloatArray, share: float, impact: 
 
 
 def _way(scenario: Scenario, ends: FloatArray) -> float:
-    """Return how far along its lane the car comes in a tick, m."""
+    """Return how far along its lane, or along its own arc, the car comes in a tick, m."""
+    if leaves_line(scenario, ends):
+        return math.dist(*ends[:, :2].tolist()) * (1.0 + _turned(ends) ** 2 / 24.0)
     before, after = (float(road_position(scenario.road.line, *one[:2].tolist())[0]) for one in ends)
     return after - before
+
+
+def leaves_line(scenario: Scenario, ends: FloatArray) -> bool:
+    """Return whether the car points elsewhere than the line along which its lane leads, at one end of a tick."""
+    line = scenario.road.line
+    return any(
+        abs(math.remainder(float(one[2]) - road_pose(line, road_position(line, *one[:2].tolist())[0])[2], math.tau))
+        > _ALIKE
+        for one in ends
+    )
+
+
+def _turned(ends: FloatArray) -> float:
+    """Return by how much the car turns in a tick, rad."""
+    return math.remainder(float(ends[1, 2] - ends[0, 2]), math.tau)
 
 
 def _share_driven(scenario: Scenario, ends: FloatArray, share: float, impact: float) -> float:

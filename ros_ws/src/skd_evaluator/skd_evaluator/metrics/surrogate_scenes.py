@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import until_contact
 
@@ -201,10 +200,9 @@ def scene_of(scenario: Scenario, times: FloatArray, adversary: FloatArray, car: 
 
 def scenes_of(scenario: Scenario, courses: Sequence[EpisodeMotion]) -> Interactions:
     """Return the scenes of episodes, at least one, in a scenario; see `scene_of`."""
-    line, body = scenario.road.line, scenario.adversary
+    body = scenario.adversary
     starts = np.cumsum([0, *(len(one.times) for one in courses)])
     times, places, car = (np.concatenate(parts) for parts in zip(*courses, strict=True))
-    along = right_and_along(line, np.ascontiguousarray(car[:, :2]))[:, 1]
     velocity = velocities(times, places, starts)
     turned = np.zeros(len(times))
     if body.is_box:
@@ -213,8 +211,7 @@ def scenes_of(scenario: Scenario, courses: Sequence[EpisodeMotion]) -> Interacti
             for tick, (vx, vy) in enumerate(velocity[start:end].tolist(), start):
                 heading = turned[tick] = body.heading(heading, vx, vy)
     footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
-    states = np.column_stack([car[:, :2], _headings(line, along), car[:, 3]])
-    return Interactions(Interaction(times, states, places, velocity, turned, footprint, body.shape), starts)
+    return Interactions(Interaction(times, car, places, velocity, turned, footprint, body.shape), starts)
 
 
 def velocities(times: FloatArray, places: FloatArray, starts: IntArray) -> FloatArray:
@@ -229,15 +226,6 @@ def velocities(times: FloatArray, places: FloatArray, starts: IntArray) -> Float
     found[rows] = (places[rows + 1] - places[rows]) / (times[rows + 1] - times[rows])[:, None]
     ends = starts[1:][np.diff(starts) > 1] - 1
     found[ends] = found[ends - 1]
-    return found
-
-
-@kernel
-def _headings(line: FloatArray, along: FloatArray) -> FloatArray:
-    """Return where the lane leads at path coordinates (m), rad."""
-    found = np.empty(along.shape[0])
-    for row in range(along.shape[0]):
-        found[row] = road_pose(line, along[row])[2]
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -55,10 +56,9 @@ def draw_road(axes: Axes, scenario: Scenario, low: float, high: float, elapsed: 
             axes.plot(*way.T, color=palette.CAR, lw=0.8, ls=":", zorder=1)
 
 
-def car_outline(scenario: Scenario, along: float) -> FloatArray:
-    """Return the corners of the car (4 × 2, m) with its reference point at a path coordinate (m)."""
-    car = scenario.car
-    x, y, heading = road_pose(scenario.road.line, along)
+def car_outline(scenario: Scenario, pose: Sequence[float]) -> FloatArray:
+    """Return the corners of the car (4 × 2, m) at a pose: x, y of its reference point (m), heading (rad)."""
+    car, (x, y, heading) = scenario.car, pose
     cos, sin = math.cos(heading), math.sin(heading)
     ahead, left = np.array([cos, sin]), np.array([-sin, cos])
     corners = [(car.front, 1), (-car.rear, 1), (-car.rear, -1), (car.front, -1)]
@@ -78,19 +78,21 @@ def front_band(scenario: Scenario, along: float, reach: float) -> FloatArray:
     return np.array([middle + a * reach * ahead + b * left for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
 
 
-def draw_car(axes: Axes, scenario: Scenario, along: float, label: str | None = None, alpha: float = 0.6) -> Polygon:
-    """Draw the car at a path coordinate, m, and return it."""
-    outline = Polygon(car_outline(scenario, along), fc=palette.CAR, ec="black", alpha=alpha, zorder=2, label=label)
+def draw_car(
+    axes: Axes, scenario: Scenario, pose: Sequence[float], label: str | None = None, alpha: float = 0.6
+) -> Polygon:
+    """Draw the car at a pose, and return it."""
+    outline = Polygon(car_outline(scenario, pose), fc=palette.CAR, ec="black", alpha=alpha, zorder=2, label=label)
     axes.add_patch(outline)
     return outline
 
 
 def draw_before(
-    axes: Axes, scenario: Scenario, alongs: FloatArray, label: str | None = None, *, whole: bool = False
+    axes: Axes, scenario: Scenario, poses: FloatArray, label: str | None = None, *, whole: bool = False
 ) -> None:
-    """Draw where the car was before, as lines across its front, or `whole` as outlines: path coordinates, m."""
-    for index, along in enumerate(alongs.tolist()):
-        outline = car_outline(scenario, along)
+    """Draw where the car was before (poses, n × 3), as lines across its front, or `whole` as outlines."""
+    for index, pose in enumerate(poses.tolist()):
+        outline = car_outline(scenario, pose)
         places = np.concatenate([outline, outline[:1]]) if whole else outline[[0, 3]]
         said = label if index == 0 else None
         axes.plot(*places.T, color=palette.CAR, lw=1.0, ls=(0, (3, 2)), zorder=2, label=said)

@@ -85,18 +85,19 @@ def save_scenario(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) ->
     start = -car.start_gap - 0.5 * car.start_gap_range - car.front
     meets = start + car.start_speed * time_of_meeting(scenario) if ways else -car.front  # by its front
     body = adversary.outline_at(_first(scenario, ways), adversary.first_heading)
-    cars = [car_outline(scenario, along) for along in (start, meets, -car.front)]
+    poses = [road_pose(scenario.road.line, along) for along in (start, meets, -car.front)]
+    cars = [car_outline(scenario, pose) for pose in poses]
     box = _scenario_extent(scenario, [*cars, body, *_near(scenario, ways)])
     size = np.array([box[1] - box[0], box[3] - box[2]])
     width, height = size * min(_WIDEST / size[0], _LONGEST / size[1])
     figure = Figure(figsize=(max(_LEGEND, width + 1.2), max(3.0, height + 2.5)), layout="constrained")
     axes = figure.subplots()
     draw_road(axes, scenario, -_SCENARIO_LANE, _SCENARIO_LANE)
-    draw_car(axes, scenario, start, "car under test at the start")
+    draw_car(axes, scenario, poses[0], "car under test at the start")
     told = (
         "car under test when it reaches the target's way, unbraked" if ways else "car under test at the crossing line"
     )
-    draw_before(axes, scenario, np.array([meets]), told, whole=True)
+    draw_before(axes, scenario, np.array(poses[1:2]), told, whole=True)
     _draw_ways(axes, scenario, ways)
     axes.add_patch(
         Polygon(body, fc=palette.KAMIKAZE, ec="black", zorder=7, label=f"adversary ({adversary.kind}) at the start")
@@ -182,6 +183,11 @@ class ShownEpisode:
         """Path coordinates of the car, m."""
         return right_and_along(self.scenario.road.line, np.ascontiguousarray(self.car[:, :2]))[:, 1]
 
+    def poses(self, times: FloatArray) -> FloatArray:
+        """Return the car's poses at some times (s): x, y (m), heading (rad), n × 3."""
+        states = np.column_stack([self.car[:, :2], np.unwrap(self.car[:, 2])])
+        return np.column_stack([np.interp(times, self.times, one) for one in states.T])
+
     def phi_at(self, times: FloatArray) -> FloatArray:
         """Return where φ is at some times (s), held at its end: n × 2, m."""
         ticks = self.scenario.time_step * np.arange(len(self.phi))
@@ -196,8 +202,8 @@ class ShownEpisode:
         away = np.linalg.norm(walked - self.phi_at(times), axis=1)
         car, (radius, _, half_width) = self.scenario.car, self.scenario.adversary.shape
         gaps = []
-        for (x, y), along in zip(walked.tolist(), np.interp(times, self.times, self.along).tolist(), strict=True):
-            ahead, left = to_car_frame(x, y, *road_pose(self.scenario.road.line, along))
+        for (x, y), pose in zip(walked.tolist(), self.poses(times).tolist(), strict=True):
+            ahead, left = to_car_frame(x, y, *pose)
             outside = rectangle_distance(ahead, left, car.front, car.rear, car.half_width)
             gaps.append(max(0.0, outside - (radius or half_width)))
         return np.array(gaps), away
@@ -226,7 +232,7 @@ class EpisodePicture:
         """Move car, adversary and cursor to a time (s)."""
         shown = self._shown
         along = float(np.interp(time, shown.times, shown.along))
-        self._car.set_xy(car_outline(shown.scenario, along))
+        self._car.set_xy(car_outline(shown.scenario, shown.poses(np.array([time]))[0]))
         if shown.belief is not None:
             ahead, deviation = (float(np.interp(time, shown.times, shown.belief[:, column])) for column in (0, 1))
             for artist, number in zip(self._believed, (DEVIATIONS, 0.0), strict=True):
@@ -243,7 +249,7 @@ class EpisodePicture:
     def _draw_above(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
         shown, scenario = self._shown, self._shown.scenario
         draw_road(axes, scenario, -_LANE, _LANE, float(shown.times[-1]))
-        draw_before(axes, scenario, shown.along[:-1], "front of the car at each tick, with its time")
+        draw_before(axes, scenario, shown.car[:-1, :3], "front of the car at each tick, with its time")
         self._label_fronts(axes, box)
         axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
         axes.plot(
@@ -261,7 +267,7 @@ class EpisodePicture:
             if all(np.linalg.norm(place - other) >= _APART for other in labelled):
                 labelled.append(place)
                 write_time(axes, time, place, palette.KAMIKAZE, (0, 8))
-        self._car = draw_car(axes, scenario, float(shown.along[-1]), "car")
+        self._car = draw_car(axes, scenario, shown.car[-1, :3], "car")
         self._car.set_zorder(3)
         self._believed = []
         if shown.belief is not None:
@@ -287,8 +293,8 @@ class EpisodePicture:
     def _label_fronts(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
         """Write when the front of the car was where, beside it, as far as there is room."""
         scenario, last = self._shown.scenario, None
-        for time, along in zip(self._shown.times[:-1].tolist(), self._shown.along[:-1].tolist(), strict=True):
-            _, (x, y) = car_outline(scenario, along)[[0, 3]].tolist()
+        for time, pose in zip(self._shown.times[:-1].tolist(), self._shown.car[:-1, :3], strict=True):
+            x, y = car_outline(scenario, pose)[3].tolist()
             if box[2] < y < box[3] and (last is None or np.hypot(x - last[0], y - last[1]) > _CAR_TIMES):
                 last = (x, y)
                 write_time(axes, time, np.array(last), palette.CAR, (4, 0))
@@ -310,7 +316,7 @@ class EpisodePicture:
 
 def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     """Return what the picture shows: x from and to, y from and to, m."""
-    cars = np.concatenate([car_outline(shown.scenario, float(along)) for along in shown.along])
+    cars = np.concatenate([car_outline(shown.scenario, pose) for pose in shown.car[:, :3]])
     left, right, low, high = extent_of(shown.phi, shown.adversary, cars, beside=0.8)
     return left, right, max(low, high - _MOST) if shown.scenario.road.straight else low, high
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from skd_sim.arrays import FloatArray
-from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
@@ -21,7 +21,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator import palette
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.objective_result import ObjectiveResult
-from skd_evaluator.metrics.contact_place import last_car_position
+from skd_evaluator.metrics.contact_place import last_car_position, last_pose
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.drawing import (
     PAGE,
@@ -163,8 +163,8 @@ def _extent(
     """Return what every panel shows: x from and to, y from and to, m."""
     everything = [one.positions for one in (*safe, *(log.trajectory for log in logs), *(t for of in least for t in of))]
     if not scenario.road.straight:  # where the car comes from and goes to is not below and above the crossing
-        alongs = [-_APPROACH, 0.0, *(last_car_position(log) for log in logs)]
-        everything += [car_outline(scenario, along) for along in alongs]
+        poses = [road_pose(scenario.road.line, along) for along in (-_APPROACH, 0.0)]
+        everything += [car_outline(scenario, pose) for pose in (*poses, *map(last_pose, logs))]
     points = np.concatenate(everything)
     left, right = points[:, 0].min() - 0.8, max(points[:, 0].max() + 0.8, 0.6 * scenario.road.lane_width)
     return left, right, min(points[:, 1].min() - 1.0, -_APPROACH), max(points[:, 1].max() + 1.0, 1.5)
@@ -215,16 +215,16 @@ def _draw_walks(
 def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], low: float) -> None:
     """Draw the car of the episode whose contact is the median, tick by tick above `low` (y, m), and where it hits."""
     log = sorted(logs, key=last_car_position)[len(logs) // 2]
-    along = right_and_along(scenario.road.line, np.ascontiguousarray(log.car[:, :2]))[:-1, 1]
-    visible = along[along + scenario.car.front > low] if scenario.road.straight else along
-    draw_car(axes, scenario, last_car_position(log), "car, median at impact", 0.6)
+    poses, last = log.car[:-1, :3], last_pose(log)
+    fronts = poses[:, 1] + scenario.car.front
+    draw_car(axes, scenario, last, "car, median at impact", 0.6)
+    visible = poses[fronts > low] if scenario.road.straight else poses
     draw_before(axes, scenario, visible, "its front at the ticks before, with their times")
     if not scenario.road.straight:
         return
-    for number, place in enumerate(along.tolist()):
-        front = place + scenario.car.front
-        if low < front < last_car_position(log) + scenario.car.front - 0.35:
-            edge = np.array([scenario.car.half_width, front])
+    for number, (pose, front) in enumerate(zip(poses, fronts.tolist(), strict=True)):
+        if low < front < last[1] + scenario.car.front - 0.35:
+            edge = car_outline(scenario, pose)[3]
             write_time(axes, number * scenario.time_step, edge, palette.CAR, (4, 0))
 
 

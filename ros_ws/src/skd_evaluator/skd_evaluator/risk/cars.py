@@ -15,7 +15,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers.basic import basic_acceleration
 from skd_sim.controllers.isolated import LostProcessError, isolated
 from skd_sim.kernels.compilation import kernel
-from skd_sim.scenario.road import road_pose, road_position
+from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep, to_car_frame
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -109,10 +109,10 @@ def end_of(log: EpisodeLog) -> tuple[Touch, float]:
     """Return how a crossing ended, and the least time by which the front of the moving car missed, s."""
     if log.outcome == Outcome.ABORTED:
         return Touch.ABORTED, math.inf
-    scenario, last = log.episode.scenario, len(log.car) - 2
+    scenario = log.episode.scenario
     collided = log.outcome == Outcome.COLLISION
     pose, passed = car_at_contact(log) if collided else (NOWHERE, 1.0)
-    headings = np.array([_heading(scenario, log.car[tick : tick + 2]) for tick in range(last + 1)])
+    headings = log.car[:-1, 2] + 0.5 * np.angle(np.exp(1j * np.diff(log.car[:, 2])))
     touch, missed = ended(
         np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings,
         collision_partner(log) == ADVERSARY, passed, pose,
@@ -126,14 +126,6 @@ def end_of(log: EpisodeLog) -> tuple[Touch, float]:
 def footprint_of(scenario: Scenario) -> tuple[float, float, float]:
     """Return front, rear and half width of the car, m."""
     return scenario.car.front, scenario.car.rear, scenario.car.half_width
-
-
-def _heading(scenario: Scenario, ends: FloatArray) -> float:
-    """Return where the car points in a tick between two of its places, rad: as the road does, for it keeps to it."""
-    if scenario.road.straight:
-        return float(road_pose(scenario.road.line, 0.0)[2])
-    x, y = ends[:, :2].mean(axis=0).tolist()
-    return float(road_pose(scenario.road.line, float(road_position(scenario.road.line, x, y)[0]))[2])
 
 
 @kernel
