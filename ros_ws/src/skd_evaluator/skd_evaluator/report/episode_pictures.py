@@ -267,7 +267,7 @@ class EpisodePicture:
             if all(np.linalg.norm(place - other) >= _APART for other in labelled):
                 labelled.append(place)
                 write_time(axes, time, place, palette.KAMIKAZE, (0, 8))
-        self._car = draw_car(axes, scenario, shown.car[-1, :3], "car")
+        self._car = draw_car(axes, scenario, shown.car[-1, :3].tolist(), "car")
         self._car.set_zorder(3)
         self._believed = []
         if shown.belief is not None:
