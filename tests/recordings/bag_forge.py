@@ -118,6 +118,7 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         stamp = tick_stamp(start, tick, step)
         sent.append(Sent(CAR, _odometry(stamp, "ego/base_link", car_x, car_y, heading, (speed, 0.0)), stamp))
         sent.append(Sent(ADVERSARY, _odometry(stamp, "adversary", x, y, 0.0, (0.0, 0.0)), stamp))
+    commands = np.empty((0, 2)) if log.commands is None else log.commands
     result = _new(
         TYPES[RESULT],
         header=_header(stamp),
@@ -130,6 +131,8 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         impact_speed=log.impact_speed,
         reason=log.reason,
         commands_clipped=log.clipped,
+        accelerations=commands[:, 0].copy(),
+        steering_angles=commands[:, 1].copy(),
         command_ages=np.array(log.timing.ages, np.float32),
         commands_held=log.timing.held,
         greatest_delay=log.timing.delay,
