@@ -69,8 +69,8 @@ def _point(x: float, y: float) -> Any:
     return _new("geometry_msgs/msg/Point", x=float(x), y=float(y), z=0.0)
 
 
-def _vector(x: float = 0.0, y: float = 0.0) -> Any:
-    return _new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=0.0)
+def _vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
+    return _new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
 
 
 def _odometry(stamp: int, frame: str, x: float, y: float, yaw: float, velocity: tuple[float, float]) -> Any:
@@ -131,8 +131,10 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         impact_speed=log.impact_speed,
         reason=log.reason,
         commands_clipped=log.clipped,
-        accelerations=commands[:, 0].copy(),
-        steering_angles=commands[:, 1].copy(),
+        commands=[
+            _new("geometry_msgs/msg/Accel", linear=_vector(ahead), angular=_vector(0.0, 0.0, steering))
+            for ahead, steering in commands.tolist()
+        ],
         command_ages=np.array(log.timing.ages, np.float32),
         commands_held=log.timing.held,
         greatest_delay=log.timing.delay,

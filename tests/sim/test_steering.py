@@ -10,9 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_adversary.adversary import ReplayAdversary
+from skd_evaluator.assessment.episode_figures import ADVERSARY, ROAD_EDGE, collision_partner, lane_left, lanes_left
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.plausibility import ROUNDING, examine
 from skd_evaluator.assessment.run.batches import Replay, replayed
 from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.stages.kamikazes import with_steering
+from skd_evaluator.metrics.contact_place import car_at_contact
+from skd_evaluator.metrics.deviation import hit_of
 from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.adversary import AdversaryModel
@@ -22,6 +27,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
+WIDE = replace(CROSSING, road=replace(CROSSING.road, lane_width=20.0))
 WHEELBASE, BEHIND = wheels(CROSSING.car)
 NORTH = CarState(0.0, 0.0, math.pi / 2.0, 5.0)
 QUIET = Noise(0.0, 0.0)
@@ -60,7 +66,7 @@ class Constant:
         return self._answer
 
 
-def episode(number: int = 0, *, period: float | None = 0.05, scenario: Scenario = CROSSING) -> EpisodeSpec:
+def episode(number: int = 0, *, period: float | None = 0.05, scenario: Scenario = WIDE) -> EpisodeSpec:
     """Return one in which somebody walks across, slower or faster by its number."""
     pace = 1.0 + 0.3 * (number % 6)
     x = -3.5 + 0.3 * pace * np.arange(30)
@@ -164,7 +170,7 @@ def test_contacts_are_those_of_steps_of_a_millisecond(period: float | None) -> N
     hits = 0
     for log in logs:
         place = simulated(log)
-        assert (place is not None) == (log.outcome == Outcome.COLLISION)
+        assert (place is not None) == (collision_partner(log) == ADVERSARY)  # or it drove off the road
         if place is not None:
             hits += 1
             assert math.dist(place, log.trajectory.positions[-1].tolist()) < 5e-3
@@ -209,3 +215,88 @@ def test_what_a_car_cannot_steer_is_clipped_or_refused() -> None:
     assert log.clipped == len(log.car) - 1
     with pytest.raises(UsageError, match="multi_body"):
         run(episode(period=None, scenario=load_scenario("crossing_multi_body")), Constant((0.0, 0.1)))
+
+
+def two_lanes(**changes: Any) -> Scenario:
+    """Return the crossing with an oncoming lane, and noise or others as given."""
+    data = CROSSING.as_dict()
+    data["road"] |= {"lanes": [{"number": -1, "direction": "oncoming"}]}
+    data["car"] |= {"speed_noise": 0.0, "acceleration_noise": 0.0, "start_gap_range": 0.0}
+    return scenario_from_dict(data | changes)
+
+
+def far_away(scenario: Scenario) -> EpisodeSpec:
+    phi = Trajectory(np.tile([-30.0, 0.0], (12, 1)), 0.3)
+    return replace(episode(period=0.05, scenario=scenario), safe_trajectory=phi)
+
+
+@pytest.mark.parametrize(("name", "edge"), [("crossing", -1.75), ("two lanes", -5.25)])
+def test_to_leave_the_road_is_a_collision_with_its_edge(name: str, edge: float) -> None:
+    spec = far_away(CROSSING if name == "crossing" else two_lanes())
+    log = run(spec, Constant((0.0, 0.1), control_period=0.05))
+    assert log.outcome == Outcome.COLLISION
+    assert collision_partner(log) == ROAD_EDGE
+    (x, _, heading), _ = car_at_contact(log)
+    front_left = x + 2.25 * math.cos(heading) - 0.9 * math.sin(heading)
+    assert front_left == pytest.approx(edge, abs=0.1)  # at the end of a piece of 10 ms
+    assert examine(log).ours
+    assert same(Replay(spec).run(spec, Constant((0.0, 0.1))), log)
+    assert hit_of(spec.safe_trajectory.positions, log).distance == 0.0  # type: ignore[union-attr]
+
+
+class LaneChange(Constant):
+    """Steers as a function of the time since the start."""
+
+    control_period = 0.05
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self.calls = -1
+
+    def command(self, car: CarState, adversary: AdversaryState) -> Any:
+        self.calls += 1
+        time = 0.05 * self.calls
+        return 0.0, 0.15 * ((0.5 <= time < 1.0) - (1.0 <= time < 1.5))
+
+
+def test_the_time_out_of_the_lane_is_right_to_a_control_period() -> None:
+    spec = far_away(two_lanes())
+    log, poses = run(spec, LaneChange(0.0)), []
+    car = BasicCar(spec.scenario)
+    car.reset(CarState(*log.car[0].tolist()))
+    assert log.commands is not None
+    for command in log.commands.tolist():
+        poses.append(car.advance(tuple(command), 0.05, QUIET)[-1])
+    assert np.array(poses[-1]) == pytest.approx(log.car[-1])
+    corners = [
+        x + ahead * math.cos(heading) - left * math.sin(heading)
+        for x, _, heading, _ in poses
+        for ahead, left in ((2.25, 0.9), (2.25, -0.9), (-2.25, 0.9), (-2.25, -0.9))
+    ]
+    out = (np.abs(np.array(corners).reshape(-1, 4)) > 1.75).any(axis=1)
+    assert 0.5 < 0.05 * out.sum() < 5.0
+    assert lane_left(log) == pytest.approx(0.05 * out.sum(), abs=0.051)
+    assert lanes_left([log, run(spec, Constant(0.0))]) == (0.5, pytest.approx(lane_left(log)))
+
+
+def test_contact_with_another_vehicle_counts_where_it_happens() -> None:
+    """A car that comes on the other lane, into which the ego changes, though the pedestrian stays away."""
+    oncoming = {
+        "kind": "car", "length": 4.5, "width": 1.8, "start_heading": -math.pi / 2.0,
+        "way": [{"time": 0.0, "x": -3.5, "y": 25.0}, {"time": 6.0, "x": -3.5, "y": -25.0}],
+    }  # fmt: skip
+    free, occupied = (run(far_away(two_lanes(others=others)), LaneChange(0.0)) for others in ([], [oncoming]))
+    assert free.outcome != Outcome.COLLISION
+    assert collision_partner(occupied) == 0
+    assert occupied.hit
+
+
+def test_a_kamikaze_goes_on_as_far_as_a_car_that_steers_can() -> None:
+    kamikaze = replace(episode(scenario=CROSSING), mode=Mode.KAMIKAZE)
+    for steers, missed in ((False, 1.2), (True, 2.05)):
+        spec = replace(kamikaze, steers=steers)
+        ends = [spec.outcome(3, AdversaryState(missed + by, 0.0, 0.0, 0.0), collided=False) for by in (-0.1, 0.0)]
+        assert ends == [Outcome.RUNNING, Outcome.MISSED]
+    steered, straight = (run(episode(period=0.05), one) for one in (Weaving(), Constant(0.0, control_period=0.05)))
+    plan = Plan(CROSSING, controller=kamikaze.controller, adversary_model=AdversaryModel.GENERIC)
+    assert with_steering(plan, [straight, steered]).steers
+    assert not with_steering(plan, [straight]).steers

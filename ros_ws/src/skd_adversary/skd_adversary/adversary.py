@@ -89,6 +89,7 @@ class PlanningAdversary:
             path=path,
             maximum_distance=episode.maximum_distance,
             road_user=road_user,
+            end=episode.end,
         )
         self._sensor, self._road_user = car.sensor, road_user.kernels
         interfaces = road_user_parts(road_user.kernels, car.kernels)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import bound
+from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.scenario import Scenario
 
 from skd_adversary.crossing.interfaces import (
@@ -92,7 +93,7 @@ def reinvigorate(
 
 
 def crossing_parameters(
-    scenario: Scenario, *, start: Pair, gap: float, path: FloatArray, maximum_distance: float | None = None
+    scenario: Scenario, end: Ending, *, start: Pair, gap: float, path: FloatArray, maximum_distance: float | None = None
 ) -> Mapping[str, Any]:
     """Return the parameters that every model has, by name; arguments as of `compose`, φ n × 2 with n ≥ 1."""
     car, adversary = scenario.car, scenario.adversary
@@ -106,9 +107,9 @@ def crossing_parameters(
         "adversary_speed": adversary.speed,
         "start_x": float(start[0]),
         "start_y": float(start[1]),
-        "crossing": scenario.end.crossing,
-        "arrival": scenario.end.arrival,
-        "loss": scenario.end.loss,
+        "crossing": end.crossing,
+        "arrival": end.arrival,
+        "loss": end.loss,
         "car_start_low": nearest - car.start_gap_range,  # s of the car's reference point
         "car_start_high": nearest,
         "car_start_speed": car.start_speed,
@@ -217,6 +218,7 @@ def compose(
     path: FloatArray | None = None,
     maximum_distance: float | None = None,
     road_user: RoadUserModel = PEDESTRIAN,
+    end: Ending | None = None,
 ) -> Pomdp:
     """Return the adversary's POMDP.
 
@@ -229,6 +231,7 @@ def compose(
         path: φ, n × 2, m, one point per tick; None for an objective that has no φ.
         maximum_distance: greatest distance from φ, m, for an objective that limits it; by default there is no limit.
         road_user: kind of road user, which says how the adversary can move.
+        end: when an episode is over; by default as the scenario says.
 
     Raises:
         ValueError: two parts have a parameter of the same name.
@@ -236,7 +239,9 @@ def compose(
     phi = np.array([start]) if path is None else path
     sensor, road, user = car.sensor, STRAIGHT if scenario.road.straight else CURVED, road_user.kernels
     shares = (
-        crossing_parameters(scenario, start=start, gap=gap, path=phi, maximum_distance=maximum_distance),
+        crossing_parameters(
+            scenario, end or scenario.end, start=start, gap=gap, path=phi, maximum_distance=maximum_distance
+        ),
         road.parameters(scenario),
         road_user.parameters(scenario),
         car.parameters(scenario),

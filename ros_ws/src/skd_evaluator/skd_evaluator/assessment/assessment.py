@@ -12,7 +12,7 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SK
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.episode_figures import Surrogates, surrogates_of
+from skd_evaluator.assessment.episode_figures import Surrogates, lanes_left, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, entries, figures_html
 from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import Plan, split_episode_id
@@ -207,6 +207,11 @@ class Assessment:
     def nominal_collision_rate(self) -> float | None:
         """Share of the runs along φ that the moving car hit."""
         return sum(log.hit for log in self.nominal_runs) / self.completed_runs if self.completed_runs else None
+
+    @cached_property
+    def lanes_left(self) -> tuple[float, float] | None:
+        """In which share of the runs along φ the car leaves its lane, and for how long, s; None: in none."""
+        return lanes_left(self.nominal_runs) if self.plan.steers else None
 
     @property
     def contact_rate(self) -> float | None:

@@ -10,34 +10,37 @@ import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final, TextIO
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.road import beyond, right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import RoadUserState
 
 from skd_evaluator.assessment.plan import split_episode_id
+from skd_evaluator.assessment.plausibility import between
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.metrics.contact_place import Pose, car_at_contact
+from skd_evaluator.metrics.contact_place import Pose, car_at_contact, leaves_line, outline_of
 from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, clearances, surrogate_measures
 from skd_evaluator.metrics.surrogate_scenes import Interaction, course_of
 
-ADVERSARY = -1
+ADVERSARY, ROAD_EDGE = -1, -2
 
 
 def collision_partner(log: EpisodeLog) -> int | None:
-    """Return who was touched: `ADVERSARY`, or the number of one of the others; None without a collision.
+    """Return what was touched: `ADVERSARY`, `ROAD_EDGE`, or the number of one of the others; None without a collision.
 
     It is the one who is nearest to the car at the impact, whose place within the tick is interpolated.
     """
     scenario = log.episode.scenario
     if log.outcome != Outcome.COLLISION:
         return None
-    if not scenario.others:
+    steered = leaves_line(scenario, log.car[-2:])
+    if not scenario.others and not steered:
         return ADVERSARY
     pose, share = car_at_contact(log)
     body = scenario.adversary
@@ -45,7 +48,17 @@ def collision_partner(log: EpisodeLog) -> int | None:
     for other, (before, after) in zip(scenario.others, _others_in_last_tick(log), strict=True):
         state = before.moved(after, share * scenario.time_step)
         apart.append(_apart(log, pose, other.shape, np.array(state[:2]), state.heading))
-    return int(np.argmin(apart)) - 1
+    nearest = int(np.argmin(apart))
+    if steered and _from_edge(scenario, pose) < apart[nearest]:
+        return ROAD_EDGE
+    return nearest - 1
+
+
+def _from_edge(scenario: Scenario, pose: Pose) -> float:
+    """Return how far inside the road the car's outermost corner is, m; how far outside it is just as well."""
+    right = right_and_along(scenario.road.line, outline_of(scenario, pose))[:, 0]
+    left_edge, right_edge = scenario.road.edges
+    return abs(min(left_edge + float(right.min()), right_edge - float(right.max())))
 
 
 def closing_speed(log: EpisodeLog) -> float:
@@ -58,6 +71,8 @@ def closing_speed(log: EpisodeLog) -> float:
         return math.nan
     heading = car_at_contact(log)[0][2]
     vx, vy = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
+    if who == ROAD_EDGE:
+        return log.impact_speed
     if who != ADVERSARY:
         vx, vy = _others_in_last_tick(log)[who][1][2:4]
     return math.hypot(log.impact_speed * math.cos(heading) - vx, log.impact_speed * math.sin(heading) - vy)
@@ -86,6 +101,31 @@ def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place
 
 STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
+
+
+_PARTS = 12
+"""Of a tick, at least, at whose ends it is looked whether the car is in its lane."""
+
+
+def lane_left(log: EpisodeLog) -> float:
+    """Return for how long a corner of the car is beyond the edges of its lane, s; nan of an aborted episode."""
+    if log.outcome == Outcome.ABORTED:
+        return math.nan
+    scenario, seconds = log.episode.scenario, 0.0
+    car, half = scenario.car, 0.5 * scenario.road.lane_width
+    footprint = car.front, car.rear, car.half_width
+    for before, after in pairwise(log.car):
+        path = between(before, after, _PARTS)
+        out = [beyond(scenario.road.line, (half, half), footprint, path[row : row + 1]) for row in range(1, len(path))]
+        seconds += scenario.time_step * float(np.mean(np.array(out) >= 0))
+    return seconds
+
+
+def lanes_left(logs: Sequence[EpisodeLog]) -> tuple[float, float] | None:
+    """Return the share of runs in which the car leaves its lane, and the mean time of those, s; None: in none."""
+    times = np.array([lane_left(log) for log in logs])
+    times = times[np.isfinite(times)]
+    return (float(np.mean(times > 0.0)), float(times[times > 0.0].mean())) if times.any() else None
 
 
 def standing_contacts(logs: Iterable[EpisodeLog]) -> int:

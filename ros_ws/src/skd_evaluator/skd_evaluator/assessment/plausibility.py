@@ -20,7 +20,7 @@ from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers.basic import BasicController
 from skd_sim.kernels.compilation import kernel
-from skd_sim.scenario.road import road_position
+from skd_sim.scenario.road import beyond, road_position
 from skd_sim.scenario.road_user import Body
 from skd_sim.world.contact import rectangle_distance, sweep, to_car_frame
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
@@ -420,6 +420,10 @@ def _touched(log: EpisodeLog) -> str:
         place = came.moved(went, fraction * step)
         if _gap_at(log, np.array(place[:2])) <= other.reach + play_of(step):
             return ""
+    car, road = scenario.car, scenario.road
+    outside = car.front + _SLACK, car.rear + _SLACK, car.half_width + _SLACK
+    if beyond(road.line, road.edges, outside, between(log.car[-2], log.car[-1], _LOOKS)) >= 0:
+        return ""
     if gap > scenario.adversary.reach + play_of(step):
         return f"car and adversary are {gap:.3g} m apart at the impact"
     return ""

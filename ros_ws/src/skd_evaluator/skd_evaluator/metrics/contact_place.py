@@ -56,6 +56,15 @@ def car_at_contact(log: EpisodeLog) -> tuple[Pose, float]:
     return pose_at_contact(scenario, log.car[-2:], share, log.impact_speed), share
 
 
+def outline_of(scenario: Scenario, pose: Sequence[float]) -> FloatArray:
+    """Return the corners of the car (4 × 2, m) at a pose: x, y of its reference point (m), heading (rad)."""
+    car, (x, y, heading) = scenario.car, pose
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead, left = np.array([cos, sin]), np.array([-sin, cos])
+    corners = [(car.front, 1), (-car.rear, 1), (-car.rear, -1), (car.front, -1)]
+    return np.array([np.array([x, y]) + a * ahead + b * car.half_width * left for a, b in corners])
+
+
 def last_pose(log: EpisodeLog) -> Pose:
     """Return the car's pose at the end: at the first contact, if there is one."""
     if log.outcome == Outcome.COLLISION:

@@ -16,6 +16,7 @@ from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator import palette
+from skd_evaluator.metrics.contact_place import outline_of
 
 DPI = 150
 PAGE = 7.2
@@ -56,15 +57,6 @@ def draw_road(axes: Axes, scenario: Scenario, low: float, high: float, elapsed: 
             axes.plot(*way.T, color=palette.CAR, lw=0.8, ls=":", zorder=1)
 
 
-def car_outline(scenario: Scenario, pose: Sequence[float]) -> FloatArray:
-    """Return the corners of the car (4 × 2, m) at a pose: x, y of its reference point (m), heading (rad)."""
-    car, (x, y, heading) = scenario.car, pose
-    cos, sin = math.cos(heading), math.sin(heading)
-    ahead, left = np.array([cos, sin]), np.array([-sin, cos])
-    corners = [(car.front, 1), (-car.rear, 1), (-car.rear, -1), (car.front, -1)]
-    return np.array([np.array([x, y]) + a * ahead + b * car.half_width * left for a, b in corners])
-
-
 def front_band(scenario: Scenario, along: float, reach: float) -> FloatArray:
     """Return the corners (4 × 2, m) of a band across the lane about the front of a car at a path coordinate (m).
 
@@ -82,7 +74,7 @@ def draw_car(
     axes: Axes, scenario: Scenario, pose: Sequence[float], label: str | None = None, alpha: float = 0.6
 ) -> Polygon:
     """Draw the car at a pose, and return it."""
-    outline = Polygon(car_outline(scenario, pose), fc=palette.CAR, ec="black", alpha=alpha, zorder=2, label=label)
+    outline = Polygon(outline_of(scenario, pose), fc=palette.CAR, ec="black", alpha=alpha, zorder=2, label=label)
     axes.add_patch(outline)
     return outline
 
@@ -92,7 +84,7 @@ def draw_before(
 ) -> None:
     """Draw where the car was before (poses, n × 3), as lines across its front, or `whole` as outlines."""
     for index, pose in enumerate(poses.tolist()):
-        outline = car_outline(scenario, pose)
+        outline = outline_of(scenario, pose)
         places = np.concatenate([outline, outline[:1]]) if whole else outline[[0, 3]]
         said = label if index == 0 else None
         axes.plot(*places.T, color=palette.CAR, lw=1.0, ls=(0, (3, 2)), zorder=2, label=said)

@@ -23,10 +23,10 @@ from skd_sim.world.contact import rectangle_distance, to_car_frame
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator import palette
+from skd_evaluator.metrics.contact_place import outline_of
 from skd_evaluator.report.drawing import (
     PAGE,
     TYPE,
-    car_outline,
     draw_before,
     draw_car,
     draw_road,
@@ -86,7 +86,7 @@ def save_scenario(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) ->
     meets = start + car.start_speed * time_of_meeting(scenario) if ways else -car.front  # by its front
     body = adversary.outline_at(_first(scenario, ways), adversary.first_heading)
     poses = [road_pose(scenario.road.line, along) for along in (start, meets, -car.front)]
-    cars = [car_outline(scenario, pose) for pose in poses]
+    cars = [outline_of(scenario, pose) for pose in poses]
     box = _scenario_extent(scenario, [*cars, body, *_near(scenario, ways)])
     size = np.array([box[1] - box[0], box[3] - box[2]])
     width, height = size * min(_WIDEST / size[0], _LONGEST / size[1])
@@ -232,7 +232,7 @@ class EpisodePicture:
         """Move car, adversary and cursor to a time (s)."""
         shown = self._shown
         along = float(np.interp(time, shown.times, shown.along))
-        self._car.set_xy(car_outline(shown.scenario, shown.poses(np.array([time]))[0]))
+        self._car.set_xy(outline_of(shown.scenario, shown.poses(np.array([time]))[0]))
         if shown.belief is not None:
             ahead, deviation = (float(np.interp(time, shown.times, shown.belief[:, column])) for column in (0, 1))
             for artist, number in zip(self._believed, (DEVIATIONS, 0.0), strict=True):
@@ -294,7 +294,7 @@ class EpisodePicture:
         """Write when the front of the car was where, beside it, as far as there is room."""
         scenario, last = self._shown.scenario, None
         for time, pose in zip(self._shown.times[:-1].tolist(), self._shown.car[:-1, :3], strict=True):
-            x, y = car_outline(scenario, pose)[3].tolist()
+            x, y = outline_of(scenario, pose)[3].tolist()
             if box[2] < y < box[3] and (last is None or np.hypot(x - last[0], y - last[1]) > _CAR_TIMES):
                 last = (x, y)
                 write_time(axes, time, np.array(last), palette.CAR, (4, 0))
@@ -316,7 +316,7 @@ class EpisodePicture:
 
 def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     """Return what the picture shows: x from and to, y from and to, m."""
-    cars = np.concatenate([car_outline(shown.scenario, pose) for pose in shown.car[:, :3]])
+    cars = np.concatenate([outline_of(shown.scenario, pose) for pose in shown.car[:, :3]])
     left, right, low, high = extent_of(shown.phi, shown.adversary, cars, beside=0.8)
     return left, right, max(low, high - _MOST) if shown.scenario.road.straight else low, high
 

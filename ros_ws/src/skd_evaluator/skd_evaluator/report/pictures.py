@@ -21,12 +21,11 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator import palette
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.objective_result import ObjectiveResult
-from skd_evaluator.metrics.contact_place import last_car_position, last_pose
+from skd_evaluator.metrics.contact_place import last_car_position, last_pose, outline_of
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.drawing import (
     PAGE,
     TYPE,
-    car_outline,
     draw_before,
     draw_car,
     draw_road,
@@ -164,7 +163,7 @@ def _extent(
     everything = [one.positions for one in (*safe, *(log.trajectory for log in logs), *(t for of in least for t in of))]
     if not scenario.road.straight:  # where the car comes from and goes to is not below and above the crossing
         poses = [road_pose(scenario.road.line, along) for along in (-_APPROACH, 0.0)]
-        everything += [car_outline(scenario, pose) for pose in (*poses, *map(last_pose, logs))]
+        everything += [outline_of(scenario, pose) for pose in (*poses, *map(last_pose, logs))]
     points = np.concatenate(everything)
     left, right = points[:, 0].min() - 0.8, max(points[:, 0].max() + 0.8, 0.6 * scenario.road.lane_width)
     return left, right, min(points[:, 1].min() - 1.0, -_APPROACH), max(points[:, 1].max() + 1.0, 1.5)
@@ -224,7 +223,7 @@ def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], l
         return
     for number, (pose, front) in enumerate(zip(poses, fronts.tolist(), strict=True)):
         if low < front < last[1] + scenario.car.front - 0.35:
-            edge = car_outline(scenario, pose)[3]
+            edge = outline_of(scenario, pose)[3]
             write_time(axes, number * scenario.time_step, edge, palette.CAR, (4, 0))
 
 

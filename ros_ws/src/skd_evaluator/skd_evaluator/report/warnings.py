@@ -13,7 +13,7 @@ from skd_sim.options.adversary import SKD_OBJECTIVES, first_of
 from skd_sim.world.episode import counted_reasons
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.episode_figures import collision_partner
+from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
 from skd_evaluator.metrics.margins import GAP_WARNING, stopped_at
 
@@ -169,9 +169,11 @@ def warnings_of(assessment: Assessment, *, planned: bool = True, said: Collectio
 def _hits_of_others(assessment: Assessment) -> list[str]:
     """Return how often the car ran into others than the adversary, which counts as any collision."""
     others = assessment.plan.scenario.others
-    logs = [*assessment.kamikaze_logs, *assessment.nominal_runs] if others else []
+    logs = [*assessment.kamikaze_logs, *assessment.nominal_runs] if others or assessment.plan.steers else []
     who = [collision_partner(log) for log in logs]
-    return [
+    left = who.count(ROAD_EDGE)
+    off = [f"in {left} of {len(logs)} episodes the car left the road, which counts as a collision"] if left else []
+    return off + [
         f"in {who.count(index)} of {len(logs)} episodes the car ran into others[{index}], a {other.kind}, and not into "
         "the adversary; that counts as any collision"
         for index, other in enumerate(others)

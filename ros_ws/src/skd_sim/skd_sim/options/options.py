@@ -253,6 +253,13 @@ class EpisodeOptions:
         commands=("episode",),
         marks=(PLANNING, RARE),
     )
+    steers: bool = option(
+        False,
+        "whether the car leaves the middle of its lane, so that kamikazes go on as far as the road's edge",
+        commands=(),
+        launches=(),
+        marks=(PLANNING, RARE),
+    )
     maximum_distance: float | None = option(
         None,
         "leave out each kamikaze that ends further than this many metres from its safe trajectory, and count them",

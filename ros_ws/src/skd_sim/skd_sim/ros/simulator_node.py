@@ -276,9 +276,7 @@ class GraphSimulator:
         result.episode_id = int(self._message.episode_id)
         result.start = to_stamp(self._start)
         result.commands_clipped = clipped
-        result.accelerations, result.steering_angles = (
-            array("d", (one[part] for one in self._commands)) for part in (0, 1)
-        )
+        result.commands = [acceleration_command(one, 0).accel for one in self._commands]
         result.command_ages = array("f", self._lockstep.ages.ages)
         result.commands_held = self._lockstep.ages.held
         result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst

@@ -134,6 +134,11 @@ class Road(Frozen):
         """Return the width of all lanes beside the car's to the left (−1) or to the right (1), m."""
         return sum(lane.width or self.lane_width for lane in self.lanes if lane.beside and side * lane.number > 0)
 
+    @cached_property
+    def edges(self) -> tuple[float, float]:
+        """How far the road reaches to the left and to the right of the middle of the car's lane, m."""
+        return 0.5 * self.lane_width + self._beside(-1), 0.5 * self.lane_width + self._beside(1)
+
     @property
     def length(self) -> float:
         """Length of all parts together, m."""
@@ -352,6 +357,30 @@ def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
         if low - _JOINT <= along <= high + _JOINT and abs(left) < abs(offset):
             best, offset = begin + min(max(along, low), high), left
     return best, offset
+
+
+@kernel
+def beyond(
+    line: FloatArray, edges: tuple[float, float], footprint: tuple[float, float, float], path: FloatArray
+) -> int:
+    """Return the first row of a path in which a corner of the car is beyond an edge; −1: in none.
+
+    Args:
+        line: centre line.
+        edges: how far to the left and to the right of it the edges are, m.
+        footprint: front, rear and half width of the car, m.
+        path: x, y (m) and heading (rad) of the car in its first three columns.
+    """
+    front, rear, half_width = footprint
+    for row in range(path.shape[0]):
+        cos, sin = math.cos(path[row, 2]), math.sin(path[row, 2])
+        for ahead in (front, -rear):
+            for left in (half_width, -half_width):
+                x, y = path[row, 0] + cos * ahead - sin * left, path[row, 1] + sin * ahead + cos * left
+                _, aside = road_position(line, x, y)
+                if aside > edges[0] or -aside > edges[1]:
+                    return row
+    return -1
 
 
 @kernel

@@ -269,9 +269,17 @@ class Scenario(Frozen):
     @cached_property
     def end(self) -> Ending:
         """When an episode of this scenario is over, by path coordinates."""
+        return self._ending(self.path_edge)
+
+    @cached_property
+    def end_if_steered(self) -> Ending:
+        """The same where the car may be anywhere on the road."""
+        return self._ending(max(self.path_edge, max(self.road.edges) + self.adversary.reach))
+
+    def _ending(self, edge: float) -> Ending:
         here = np.array([[self.adversary.start_x, self.adversary.start_y]])
         start = float(right_and_along(self.road.line, here)[0, 0])
-        return ending_of(self.road.line, self.path_edge, start, self.adversary.destination_x, self.ending)
+        return ending_of(self.road.line, edge, start, self.adversary.destination_x, self.ending)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the scenario as plain data; `scenario_from_dict` is the inverse."""

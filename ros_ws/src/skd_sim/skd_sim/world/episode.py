@@ -19,6 +19,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import check_adversary_model
 from skd_sim.options.options import EpisodeOptions
+from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import AdversaryState, Trajectory
 from skd_sim.world.timing import UNTIMED, Timing
@@ -135,6 +136,11 @@ class EpisodeSpec(EpisodeOptions):
             return car.start_gap
         return car.start_speed * self.scenario.end.entry_time(self.safe_trajectory)
 
+    @property
+    def end(self) -> Ending:
+        """When a kamikaze is over: beyond what the car can reach, too."""
+        return self.scenario.end_if_steered if self.steers else self.scenario.end
+
     def outcome(self, tick: int, adversary: AdversaryState, *, collided: bool) -> Outcome:
         """Return how the episode stands after `tick` steps.
 
@@ -145,7 +151,7 @@ class EpisodeSpec(EpisodeOptions):
             return Outcome.COLLISION
         if self.mode == Mode.SAFE and self.scenario.end.arrived(adversary.x, adversary.y):
             return Outcome.ARRIVED
-        if self.mode == Mode.KAMIKAZE and self.scenario.end.missed(adversary.x, adversary.y):
+        if self.mode == Mode.KAMIKAZE and self.end.missed(adversary.x, adversary.y):
             return Outcome.MISSED
         if self.mode != Mode.REPLAY and self.scenario.ran_into_obstacle(adversary):
             return Outcome.MISSED

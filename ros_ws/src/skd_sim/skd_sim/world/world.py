@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.scenario.road import road_pose
+from skd_sim.scenario.road import beyond, road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CarDynamics, Command, Noise, as_pair, command_limits, make_dynamics
@@ -20,7 +20,7 @@ from skd_sim.world.state import AdversaryState, CarState, on_grid, velocity_on_g
 class Contact(NamedTuple):
     """First touch within a tick: the fraction of the tick at which it happened, and the car's speed at that time (m/s).
 
-    It is the adversary whom the car touches, or one of the others of the scenario.
+    It is the adversary whom the car touches, one of the others of the scenario, or the edge of the road.
     """
 
     fraction: float
@@ -137,6 +137,8 @@ class World:
             others = self.scenario.others_at(self.tick), self.scenario.others_at(self.tick + 1)
             moves += [(one[:2], then[:2], then[2:4], then.heading) for one, then in zip(*others, strict=True)]
         contact = first_contact_of(self.scenario, path, moves, step, period, periods)
+        if self._dynamics.steered:
+            contact = min(contact, road_left(self.scenario, path, period, periods))
         counts = contact.fraction <= 1.0
         if not counts and period < periods - 1:
             passed = step * (period + 1) / periods
@@ -184,6 +186,16 @@ def first_contact_of(
         if found.fraction < first.fraction and found.speed >= least:
             first = found
     return first
+
+
+def road_left(scenario: Scenario, path: FloatArray, period: int, periods: int) -> Contact:
+    """Return when a corner of the car is off the road, as a contact; see `first_contact_of`."""
+    car, road = scenario.car, scenario.road
+    row = beyond(road.line, road.edges, (car.front, car.rear, car.half_width), path)
+    speed = float(path[row, 3])
+    if row < 0 or speed < scenario.collision.minimum_impact_speed:
+        return Contact(math.inf, 0.0)
+    return Contact((period + row / (len(path) - 1)) / periods, speed)
 
 
 def make_world(episode: EpisodeSpec) -> World:

@@ -20,7 +20,9 @@ OF_SKD = keys_of(Of.SKD)
 """Those of them that are of the kamikazes that SKD is of."""
 
 _PLANNING = tuple(
-    one for one in options_of(EpisodeOptions) if PLANNING in one.marks and one.name not in {*FIELDS, "adversary_model"}
+    one
+    for one in options_of(EpisodeOptions)
+    if PLANNING in one.marks and one.name not in {*FIELDS, "adversary_model", "steers"}
 )
 
 

@@ -114,7 +114,7 @@ def result_from_message(message: Any) -> EpisodeEnd:
         str(message.reason),
         int(message.commands_clipped),
         timing,
-        np.column_stack([message.accelerations, message.steering_angles]).astype(np.float64),
+        np.array([(one.linear.x, one.angular.z) for one in message.commands]).reshape(-1, 2),
     )
 
 

@@ -21,7 +21,7 @@ from skd_sim.controllers.protocol import Controller, control_period_of, takes_ba
 from skd_sim.inputs.yaml_file import short
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
-from skd_sim.scenario.road import is_straight_north
+from skd_sim.scenario.road import HEADING_NORTH, beyond, is_straight_north
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import STEERING_LIMIT, as_pair, command_limits, drive, wheels
 from skd_sim.world.episode import (
@@ -71,6 +71,8 @@ class _Numbers(NamedTuple):
     least: float  # acceleration that can be commanded, m/s²
     greatest: float
     axles: tuple[float, float]
+    line: FloatArray
+    edges: tuple[float, float]
     minimum_impact_speed: float
 
 
@@ -119,6 +121,11 @@ def _advance(
     end = (x + step * vx, y + step * vy)
     share, impact = sweep(path, (x, y), end, (vx, vy), 0.0, footprint, shape, step, period, periods)
     contact = share <= 1.0 and impact >= numbers.minimum_impact_speed
+    if path.shape[0] > 2 or path[0, 2] != HEADING_NORTH:
+        row = beyond(numbers.line, numbers.edges, footprint, path)
+        left = (period + row / (path.shape[0] - 1)) / periods
+        if row >= 0 and path[row, 3] >= numbers.minimum_impact_speed and not (contact and share <= left):
+            contact, share, impact = True, left, path[row, 3]
     state[6], state[7], state[8] = vx, vy, 0.0
     if contact or period == periods - 1:
         state[4], state[5] = end
@@ -283,6 +290,8 @@ def _numbers(episode: EpisodeSpec) -> _Numbers:
         limits.least,
         limits.greatest,
         wheels(car),
+        scenario.road.line,
+        scenario.road.edges,
         scenario.collision.minimum_impact_speed,
     )
 

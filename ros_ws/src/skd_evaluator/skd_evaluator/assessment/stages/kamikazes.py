@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+from skd_sim.scenario.road import right_and_along
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
@@ -21,6 +23,8 @@ from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 
 BOUNDS = (0.25, 0.5, 1.0, 2.0)
 """η, m, to which kamikazes are bounded."""
+_ASIDE = 0.05
+"""m that a car which keeps to its lane stays within."""
 _PART = 4
 """One in so many of an assessment's trials is made for each bound."""
 
@@ -37,14 +41,22 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     return replace(assessment, plan=results[0].plan, results=results)
 
 
-@stage(50)
+@stage(35)  # first: whether the car steers matters to kamikazes
 def run_nominal(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the runs of the car against an adversary that follows φ, unless they are known."""
     if assessment.nominal_runs:
         return assessment
-    episodes = runs_along(assessment.plan, assessment.safe)
+    plan = replace(assessment.plan, objective=in_order(context.objectives)[0])
+    episodes = runs_along(plan, assessment.safe)
     logs = tuple(run_episodes(context.runner, episodes, "nominal runs", context.progress))
-    return replace(assessment, nominal_runs=logs)
+    return replace(assessment, nominal_runs=logs, plan=with_steering(assessment.plan, logs))
+
+
+def with_steering(plan: Plan, logs: Sequence[EpisodeLog]) -> Plan:
+    """Return a plan that says whether the car steers, by runs of it."""
+    line = plan.scenario.road.line
+    offsets = (right_and_along(line, np.ascontiguousarray(log.car[:, :2]))[:, 0] for log in logs)
+    return replace(plan, steers=plan.steers or any(np.abs(one).max() > _ASIDE for one in offsets))
 
 
 @stage(100)

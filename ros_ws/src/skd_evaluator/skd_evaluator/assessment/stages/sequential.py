@@ -50,7 +50,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         count = batch * (len(seen) + 1)
         so_far = replace(plan, safe_count=count, collision_runs=each * count)
         result = replace(assessment, plan=so_far, safe=tuple(known[:count]), confidence=confidence)
-        for stage_of_batch in (safe_trajectories.run, kamikazes.run, kamikazes.run_nominal):
+        for stage_of_batch in (safe_trajectories.run, kamikazes.run_nominal, kamikazes.run):
             result = stage_of_batch(here, result)
         found = result.for_deviation.deviation.clustered
         seen.append(Look(count, found))

@@ -13,6 +13,7 @@ from skd_adversary.crossing.model import RoadUserMotion, choices
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
+from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 
@@ -50,6 +51,7 @@ class ActionSpace:
 
     Attributes:
         scenario: the scenario.
+        end: when an episode is over.
         ticks: number of ticks of a sequence.
         path: φ, n × 2, m.
         phi: positions of φ at ticks 0 … ticks, held at its end, m.
@@ -60,9 +62,9 @@ class ActionSpace:
             state.
     """
 
-    def __init__(self, scenario: Scenario, path: FloatArray) -> None:
-        """Prepare a φ, n × 2, m."""
-        self.scenario, self.path = scenario, np.ascontiguousarray(path, dtype=np.float64)
+    def __init__(self, scenario: Scenario, end: Ending, path: FloatArray) -> None:
+        """Prepare a φ, n × 2, m, of which is known when an episode is over."""
+        self.scenario, self.end, self.path = scenario, end, np.ascontiguousarray(path, dtype=np.float64)
         self.ticks = ticks = scenario.ticks
         self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
         user = road_user_named(scenario.adversary.kind)
@@ -126,10 +128,10 @@ class ActionSpace:
         """Return whether the car may drive where the road user is, in each tick of positions, n × (ticks + 1) × 2."""
         if self.scenario.others:
             return np.ones((len(positions), self.ticks), dtype=bool)
-        road, (low, high, first, last) = self.scenario.road, self.scenario.end.loss
+        road, (low, high, first, last) = self.scenario.road, self.end.loss
         place = positions if road.straight else right_and_along(road.line, positions.reshape(-1, 2))
         across, along = place.reshape(positions.shape)[..., 0], place.reshape(positions.shape)[..., 1]
-        inside = np.abs(across) <= self.scenario.car.half_width + self.scenario.adversary.reach
+        inside = np.abs(across) <= self.end.path_edge
         lost = (low < across) & (across < high) & (first < along) & (along < last)
         over = np.logical_or.accumulate(lost, axis=1)  # it cannot meet the car any more
         touched = inside[:, :-1] | inside[:, 1:] | (across[:, :-1] * across[:, 1:] < 0.0)

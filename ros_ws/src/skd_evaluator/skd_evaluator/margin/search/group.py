@@ -79,7 +79,7 @@ class Group:
         """
         first = episodes[0]
         assert first.safe_trajectory is not None
-        self.space = space = ActionSpace(first.scenario, first.safe_trajectory.positions)
+        self.space = space = ActionSpace(first.scenario, first.end, first.safe_trajectory.positions)
         self.trials = [Trial(episode, space) for episode in episodes]
         self.goals = [0] * len(episodes)
         self.reasons: list[str] = []

@@ -209,7 +209,8 @@ class _Search:
         offers: dict[bytes, list[IntArray]] = {}
         for safe, positions in hits:
             path = np.ascontiguousarray(safe).tobytes()
-            space = spaces.setdefault(path, ActionSpace(self._groups[0].space.scenario, safe))
+            first = self._groups[0].space
+            space = spaces.setdefault(path, ActionSpace(first.scenario, first.end, safe))
             offers.setdefault(path, []).append(space.actions_along(positions))
         firsts = [of_path[0] for of_path in offers.values()]
         for group in self._groups:

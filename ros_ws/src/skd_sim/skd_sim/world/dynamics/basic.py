@@ -47,7 +47,12 @@ class CarDynamics(Protocol):
     """A car that can be driven.
 
     Same start, same commands, same noise: same path, to the last bit.
+
+    Attributes:
+        steered: whether a command has steered it since it was reset.
     """
+
+    steered: bool
 
     def reset(self, car: CarState) -> None:
         """Put the car on the road at this state, rolling freely, and forget everything before."""
@@ -251,8 +256,7 @@ class BasicCar:
 
     def reset(self, car: CarState) -> None:
         """Put the car at this state; on a road with curves, at the nearest point of the centre line."""
-        self._car, self._angle = car, 0.0
-        self._keeps_lane = self._curved
+        self._car, self._angle, self.steered = car, 0.0, False
         self._s = float(road_position(self._line, car.x, car.y)[0])
 
     def draw(self, rng: np.random.Generator) -> Noise:
@@ -261,11 +265,11 @@ class BasicCar:
 
     def advance(self, command: tuple[float, float], duration: float, noise: Noise) -> FloatArray:
         """Return the two ends of a straight way, or points along a bend; see `CarDynamics`."""
-        if self._keeps_lane and command[1] != 0.0:
-            self._keeps_lane = False
+        if command[1] != 0.0 and not self.steered:
+            self.steered = True
             self._angle = steering_angle(road_curvature(self._line, self._s), self._axles[0])
         path, self._angle = drive((*self._car,), self._angle, command, (*noise,), duration, self._axles)
-        if self._keeps_lane:
+        if self._curved and not self.steered:
             speed, after = float(path[0, 3]), float(path[1, 3])
             distance = float(travelled(speed, after, duration))
             path = along_road(self._line, self._s, distance, speed, after)

@@ -22,7 +22,7 @@ Fourth-order Runge-Kutta. The stiffest part is a wheel's spin against its tyre, 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -336,7 +336,10 @@ class MultiBodyCar:
 
     Attributes:
         state: its states, since it was reset.
+        steered: never.
     """
+
+    steered: Final = False
 
     def __init__(self, scenario: Scenario, *, step: float = _STEP) -> None:
         """Build the car.
