@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from skd_evaluator.assessment.files.result_folder import MANIFEST, ResultFolder, write_json
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.report.presentation import write_with_scratch
+from skd_evaluator.report.presentation import with_scratch
 from skd_sim.errors import UsageError
 
 
@@ -119,7 +119,7 @@ def test_logs_of_work_that_failed_stay_where_they_were(tmp_path):
     out = ResultFolder(tmp_path / "out")
     with out.scratch() as scratch:
         (scratch.logs / "node.log").write_text("new")
-        write_with_scratch(out, scratch.folder, fill)
+        out.write(with_scratch(scratch.folder, fill))
     assert log.read_text() == "new"
     assert not (tmp_path / "out" / "logs").is_symlink()
     old = content(tmp_path / "out")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 from skd_sim.world.episode import EpisodeLog, Outcome
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import episode_summary, write_assessment
 from skd_evaluator.assessment.objective_result import ObjectiveResult
 from skd_evaluator.assessment.run.workers import available_workers, in_background
@@ -64,18 +63,13 @@ def fill_episode(folder: Path, log: EpisodeLog) -> None:
     write_json(folder / "episode.json", episode_summary(log))
 
 
-def save_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> str | None:
-    """As `write_with_scratch`, but return why it failed; see `ResultFolder.save`."""
-    return out.save(partial(_write_all, scratch, write))
+def with_scratch(scratch: Path, write: Callable[[Path], None]) -> Callable[[Path], None]:
+    """Return what writes results, and moves the bags and logs that are in `scratch` beside them."""
 
+    def write_all(folder: Path) -> None:
+        write(folder)
+        for part in scratch.iterdir():
+            if any(part.iterdir()):
+                part.rename(folder / part.name)
 
-def write_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> None:
-    """Write results, and beside them the bags and logs that are in `scratch`."""
-    out.write(partial(_write_all, scratch, write))
-
-
-def _write_all(scratch: Path, write: Callable[[Path], None], folder: Path) -> None:
-    write(folder)
-    for part in scratch.iterdir():
-        if any(part.iterdir()):
-            part.rename(folder / part.name)
+    return write_all

@@ -42,7 +42,7 @@ from skd_evaluator.assessment.stages.pipeline import compile_for_graph, run_stag
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
-from skd_evaluator.report.presentation import episode_line, fill, fill_episode, write_with_scratch
+from skd_evaluator.report.presentation import episode_line, fill, fill_episode, with_scratch
 from skd_evaluator.report.terminal import headline
 from skd_evaluator.report.warnings import warnings_of, why_failed
 from skd_evaluator.ros.evaluator import Evaluator
@@ -128,7 +128,7 @@ class EvaluatorProcess(Evaluator):
         assessment = run_stages(context, Assessment(plan, provenance=origin))
         self.publish_assessment(assessment)
         assessment = replace(assessment, seconds=time.perf_counter() - begin)
-        write_with_scratch(self._out, scratch, lambda folder: fill(folder, assessment))
+        self._out.write(with_scratch(scratch, lambda folder: fill(folder, assessment)))
         for line in warnings_of(assessment):
             self.get_logger().warning(line)
         failures = why_failed(assessment, self._settings["max_aborted"] / 100.0)
@@ -143,7 +143,7 @@ class EvaluatorProcess(Evaluator):
         mode = Mode[self._settings["mode"].upper()]
         plan = replace(self._plan, safe_count=1)
         log = self.run_episode(single_episode(plan, mode, self._settings["trial"]))
-        write_with_scratch(self._out, scratch, lambda folder: fill_episode(folder, log))
+        self._out.write(with_scratch(scratch, lambda folder: fill_episode(folder, log)))
         line = f"{episode_line(log)}; results in {self._out.path}"
         if log.outcome == Outcome.ABORTED:
             self.get_logger().error(f"{line}; {log.reason}")

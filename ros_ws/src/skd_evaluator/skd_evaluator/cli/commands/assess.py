@@ -156,7 +156,7 @@ def _through_graph(
     kept: _KeptEpisodes,
 ) -> tuple[Assessment, str | None]:
     from skd_evaluator.assessment.stages.pipeline import compile_for_graph
-    from skd_evaluator.report.presentation import save_with_scratch
+    from skd_evaluator.report.presentation import with_scratch
     from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.ros.processes import GraphSetting
     from skd_evaluator.ros.session import assess_through_graph
@@ -172,7 +172,7 @@ def _through_graph(
         with progress_bar(quiet=arguments.quiet, steps=_steps(plan, request)) as progress:
             assessment = assess_through_graph(assessment, setting, {**request, "progress": progress}, kept.runner)
         assessment = replace(assessment, seconds=time.perf_counter() - begin)
-        problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, assessment, arguments))
+        problem = out.save(with_scratch(scratch.folder, lambda folder: _write(folder, assessment, arguments)))
     return assessment, problem
 
 

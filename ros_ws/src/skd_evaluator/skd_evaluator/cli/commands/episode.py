@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.assessment.stages.pipeline import compile_for_graph
     from skd_evaluator.assessment.stages.risk import single_crossing, unchanged_behaviour
     from skd_evaluator.assessment.stages.safe_trajectories import single_episode
-    from skd_evaluator.report.presentation import episode_line, fill_episode, write_with_scratch
+    from skd_evaluator.report.presentation import episode_line, fill_episode, with_scratch
     from skd_evaluator.ros.processes import GraphSetting, log_of
     from skd_evaluator.ros.session import graph_session, prepare_ros
 
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
                 plan = learned(plan, evaluator, say=partial(say, "episode"), graph=graph_settings(graph))
                 episode = replace(episode, car_model=plan.car_model)
             log = evaluator.run_episode(episode)
-        write_with_scratch(out, scratch.folder, lambda folder: fill_episode(folder, log))
+        out.write(with_scratch(scratch.folder, lambda folder: fill_episode(folder, log)))
     aborted = None
     if log.outcome == Outcome.ABORTED:
         aborted = f"aborted: {log.reason}; log: {log_of(out.path / 'logs', log.reason)}"

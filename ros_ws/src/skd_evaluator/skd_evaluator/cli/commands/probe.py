@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 
@@ -26,12 +27,13 @@ from skd_evaluator.cli.arguments import (
 )
 from skd_evaluator.cli.output import finish, say
 from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+from skd_evaluator.version import version
 
 if TYPE_CHECKING:
-    from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+    from skd_sim.world.episode import EpisodeLog
 
     from skd_evaluator.assessment.context import Runner
-    from skd_evaluator.assessment.files.result_folder import ResultFolder
+    from skd_evaluator.assessment.files.result_folder import Scratch
 
 
 def add(parser: Parser) -> None:
@@ -56,10 +58,14 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_sim.simulators.simulator import make_simulator
     from skd_sim.world.episode import Outcome
 
+    from skd_evaluator.assessment.files.episodes_npz import EPISODES, write_probes
+    from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.assessment.from_options import check_car
     from skd_evaluator.assessment.plan import probe_episodes
     from skd_evaluator.cli.results import say_aborted
     from skd_evaluator.metrics.aborted import not_credible
+    from skd_evaluator.report.presentation import with_scratch
+    from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.ros.session import prepare_ros
 
     begin = time.perf_counter()
@@ -74,13 +80,40 @@ def run(arguments: argparse.Namespace) -> int:
         prepare_ros(graph_options(arguments))
     out = result_folder(arguments)
     logs: list[EpisodeLog] = []
-    try:
-        warnings, problem = (_through_graph if arguments.graph else _in_process)(arguments, car, episodes, out, logs)
-    except KeyboardInterrupt:
-        say("probe", f"interrupted after {len(logs)} of {len(episodes)} episodes; nothing was written")
-        return EXIT_INTERRUPTED
+
+    def collect(runner: Runner) -> None:
+        with progress_bar(quiet=arguments.quiet) as progress:
+            for log in runner.run(episodes):
+                logs.append(log)
+                progress("probe", len(logs), len(episodes))
+
+    def write(folder: Path) -> None:
+        write_json(folder / "probe.json", summary)
+        if not arguments.graph:  # the graph leaves bags
+            write_probes(folder / EPISODES, logs)
+
+    with out.scratch() if arguments.graph else nullcontext() as scratch:
+        try:
+            if scratch is None:
+                warnings = _in_process(arguments, car, collect, logs)
+            else:
+                warnings = _through_graph(arguments, car, scratch, collect, logs)
+        except KeyboardInterrupt:
+            say("probe", f"interrupted after {len(logs)} of {len(episodes)} episodes; nothing was written")
+            return EXIT_INTERRUPTED
+        summary = {
+            "episodes": len(logs),
+            "ticks": sum(len(log.adversary) - 1 for log in logs),
+            "outcomes": dict(sorted(Counter(log.outcome.name.lower() for log in logs).items())),
+            "controller": car.controller,
+            "multiplier": car.stated_multiplier,
+            "seed": arguments.seed,
+            "scenario": logs[0].episode.scenario.as_dict(),
+            "version": version(),
+            "warnings": list(warnings),
+        }
+        problem = out.save(write if scratch is None else with_scratch(scratch.folder, write))
     aborted = [log.reason for log in logs if log.outcome == Outcome.ABORTED]
-    summary = _summary(arguments, car, logs, warnings)
 
     def show() -> None:
         ends = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
@@ -95,90 +128,39 @@ def run(arguments: argparse.Namespace) -> int:
     return code
 
 
-def _collect(runner: Runner, episodes: Sequence[EpisodeSpec], logs: list[EpisodeLog], *, quiet: bool) -> None:
-    """Run episodes, and add their logs to others, one by one."""
-    from skd_evaluator.report.progress import progress_bar
-
-    with progress_bar(quiet=quiet) as progress:
-        for log in runner.run(episodes):
-            logs.append(log)
-            progress("probe", len(logs), len(episodes))
-
-
 def _in_process(
-    arguments: argparse.Namespace,
-    car: CarUnderTest,
-    episodes: Sequence[EpisodeSpec],
-    out: ResultFolder,
-    logs: list[EpisodeLog],
-) -> tuple[tuple[str, ...], str | None]:
-    """Return warnings, and why the logs could not be written, if so."""
+    arguments: argparse.Namespace, car: CarUnderTest, collect: Callable[[Runner], None], logs: Sequence[EpisodeLog]
+) -> tuple[str, ...]:
+    """Collect logs of this process, and return warnings."""
     from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
 
     isolated = not (car.is_own and is_own_world(arguments.simulator))
     with runner_of(arguments, isolated=isolated, answer_limit=arguments.startup_timeout) as runner:
         runner.start()
-        _collect(runner, episodes, logs, quiet=arguments.quiet)
-    warnings = () if car.is_own else repeatability(car.controller, logs, fresh_process)
-    return warnings, out.save(lambda folder: _write(folder, arguments, car, logs, warnings))
+        collect(runner)
+    return () if car.is_own else repeatability(car.controller, logs, fresh_process)
 
 
 def _through_graph(
     arguments: argparse.Namespace,
     car: CarUnderTest,
-    episodes: Sequence[EpisodeSpec],
-    out: ResultFolder,
-    logs: list[EpisodeLog],
-) -> tuple[tuple[str, ...], str | None]:
+    scratch: Scratch,
+    collect: Callable[[Runner], None],
+    logs: Sequence[EpisodeLog],
+) -> tuple[str, ...]:
     from skd_evaluator.assessment.stages.checks import repeatability
-    from skd_evaluator.report.presentation import save_with_scratch
     from skd_evaluator.ros.processes import GraphSetting
     from skd_evaluator.ros.session import fresh_graph, graph_session
 
     warnings: tuple[str, ...] = ()
-    with out.scratch() as scratch:
-        setting = GraphSetting(
-            options=graph_options(arguments), car=car, log_folder=scratch.logs, simulator=arguments.simulator,
-            record_to=scratch.folder / "bags",
-        )  # fmt: skip
-        with graph_session(setting) as evaluator:
-            _collect(evaluator, episodes, logs, quiet=arguments.quiet)
-            if (fresh := fresh_graph(evaluator, setting)) is not None:
-                warnings = repeatability(car.controller, logs, fresh)
-        if (fresh := fresh_graph(None, setting)) is not None:
+    setting = GraphSetting(
+        options=graph_options(arguments), car=car, log_folder=scratch.logs, simulator=arguments.simulator,
+        record_to=scratch.folder / "bags",
+    )  # fmt: skip
+    with graph_session(setting) as evaluator:
+        collect(evaluator)
+        if (fresh := fresh_graph(evaluator, setting)) is not None:
             warnings = repeatability(car.controller, logs, fresh)
-        problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, arguments, car, logs, warnings))
-    return warnings, problem
-
-
-def _summary(
-    arguments: argparse.Namespace, car: CarUnderTest, logs: Sequence[EpisodeLog], warnings: Sequence[str]
-) -> dict[str, Any]:
-    from skd_evaluator.version import version
-
-    return {
-        "episodes": len(logs),
-        "ticks": sum(len(log.adversary) - 1 for log in logs),
-        "outcomes": dict(sorted(Counter(log.outcome.name.lower() for log in logs).items())),
-        "controller": car.controller,
-        "multiplier": car.stated_multiplier,
-        "seed": arguments.seed,
-        "scenario": logs[0].episode.scenario.as_dict(),
-        "version": version(),
-        "warnings": list(warnings),
-    }
-
-
-def _write(
-    folder: Path,
-    arguments: argparse.Namespace,
-    car: CarUnderTest,
-    logs: Sequence[EpisodeLog],
-    warnings: Sequence[str],
-) -> None:
-    from skd_evaluator.assessment.files.episodes_npz import EPISODES, write_probes
-    from skd_evaluator.assessment.files.result_folder import write_json
-
-    write_json(folder / "probe.json", _summary(arguments, car, logs, warnings))
-    if not arguments.graph:  # the graph leaves bags
-        write_probes(folder / EPISODES, logs)
+    if (fresh := fresh_graph(None, setting)) is not None:
+        warnings = repeatability(car.controller, logs, fresh)
+    return warnings
