@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from skd_evaluator.assessment.files.result_folder import MANIFEST
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.cli.main import main
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.history import Run, find_runs, runs_table, trend_table, trends_of
 from skd_evaluator.report.terminal import print_table
-
-REVISIONS = 20
 
 
 @pytest.fixture(scope="module")
@@ -75,43 +75,53 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     assert main(["list", str(tmp_path), "--trend", "margin"]) == 2  # not past what is broken
 
 
-def test_a_trend_follows_each_car_by_date(figures):
-    """A car that gets better by 0.1 m with each of twenty revisions, and another one."""
-    runs = [
-        Run(Path(f"{number}"), {**figures, "margin": 0.1 * number, "provenance": origin(figures, number)})
-        for number in reversed(range(REVISIONS))
+def test_a_trend_follows_each_car_by_date(sweep):
+    """A car that gets better by 0.1 m with each of four revisions, and another one."""
+    stored = read_result(sweep / "synthetic" / "C_1")
+    results = [
+        replace(
+            stored,
+            folder=Path(f"{number}"),
+            figures={**stored.figures, "margin": 0.1 * number, "provenance": origin(stored.figures, number)},
+        )
+        for number in reversed(range(4))
     ]
-    other = Run(Path("other"), {**figures, "car": "my_cars:Careful", "margin": 9.0, "provenance": None})
-    asked = []
+    other = replace(stored, folder=Path("other"), figures={**stored.figures, "car": "my_cars:Careful"})
+    found, lines = trends_of([*results, other], "margin")
+    assert [one["car"] for one in found] == ["basic, C = 1", "my_cars:Careful"]
+    mine, theirs = (one["runs"] for one in found)
+    assert [row["value"] for row in mine] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert [row["folder"] for row in mine] == ["0", "1", "2", "3"]
+    assert [row["difference"] for row in mine] == [None, 0.0, 0.0, 0.0]  # of the trials, which are the same
+    assert [row["verdict"] for row in mine[1:]] == ["inconclusive"] * 3
+    assert found[0]["confidence"] == pytest.approx(1.0 - 0.05 / 3)
+    assert len(theirs) == 1
+    assert lines == []
 
-    def compare(first: Run, second: Run, confidence: float) -> None:
-        asked.append((first.folder.name, second.folder.name, confidence))
 
-    mine, theirs = trends_of([*runs, other], "margin", compare)
-    assert [run.figures["margin"] for run in mine.runs] == pytest.approx([0.1 * number for number in range(REVISIONS)])
-    assert [run.figures["margin"] for run in theirs.runs] == [9.0]
-    assert asked == [(str(n), str(n + 1), pytest.approx(1.0 - 0.05 / (REVISIONS - 1))) for n in range(REVISIONS - 1)]
-
-
-def test_what_is_not_credible_is_marked_in_lists_and_trends(tmp_path, figures, capsys, monkeypatch):
+def test_what_is_not_credible_is_marked_in_lists_and_trends(tmp_path, sweep, capsys, monkeypatch):
     """A car that was another one when it was run again stood there like any other."""
     monkeypatch.setenv("COLUMNS", "120")
+    stored = read_result(sweep / "synthetic" / "C_0.5")
+    figures = stored.figures
     doubted = {**figures, "warnings": [f"{NOT_CREDIBLE}it counts"]}
     written(doubted, tmp_path / "doubted")
     assert main(["list", str(tmp_path)]) == 0
     shown = capsys.readouterr().out
     assert "doubted*" in shown
     assert f"* {tmp_path / 'doubted'}: {NOT_CREDIBLE}it counts" in shown
-    runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", doubted), ("3", figures), ("4", figures))]
-    (trend,) = trends_of(runs, "margin", lambda *_: None)
-    assert [one["credible"] for one in trend.as_dict()["runs"]] == [True, False, True, True]
+    pairs = (("1", figures), ("2", doubted), ("3", figures))
+    results = [replace(stored, folder=Path(name), figures=one) for name, one in pairs]
+    ((trend,), _) = trends_of(results, "margin")
+    assert [one["credible"] for one in trend["runs"]] == [True, False, True]
 
 
-def test_a_trend_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch):
+@pytest.mark.parametrize("figure", ["nominal_collision_rate", "time_lost"])
+def test_a_trend_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch, figure):
     """The basic car with C = 0.5, and then with 1 under the same name: it got safer."""
     monkeypatch.setattr(Run, "car", property(lambda _run: "my car"))
     folders = [str(sweep / "synthetic" / name) for name in ("C_0.5", "C_1")]
-    assert main(["list", *folders, "--trend", "nominal_collision_rate", "--json"]) == 0
+    assert main(["list", *folders, "--trend", figure, "--json"]) == 0
     (car,) = json.loads(capsys.readouterr().out)["cars"]
     assert main(["compare", *folders, "--json", "--no-pictures", "--out", str(tmp_path / "compared")]) == 0
     (judged,) = json.loads(capsys.readouterr().out)["comparisons"]
@@ -129,9 +139,11 @@ def test_lists_and_trends_say_that_a_margin_is_at_most(tmp_path, figures, capsys
     shown = capsys.readouterr().out
     assert f"* {tmp_path / 'open'}: it was cold" in shown
     assert "the margin is at most 0.500 m, for its search had not converged at 64 candidates a trial" in shown
+    first = {"folder": "1", "date": "", "revision": "", "value": 0.5, "ci95": None, "verdict": "", "credible": True}
+    first |= {"difference": None, "difference_interval": None, "margin_converged": True}
+    rows = [first, {**first, "folder": "2", "margin_converged": False}]
+    trend = {"car": "mine", "scenario": "here", "figure": "margin", "confidence": 0.95, "runs": rows}
     runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", bound))]
-    (trend,) = trends_of(runs, "margin", lambda *_: None)
     for table in (runs_table(runs), trend_table(trend)):
         print_table(table)
-        lines = capsys.readouterr().out.splitlines()
-        assert sum("at most" in line for line in lines) == 1
+        assert sum("at most" in line for line in capsys.readouterr().out.splitlines()) == 1

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table
@@ -56,7 +56,14 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     between, within = source.components.between, source.components.within
     if between is None or within is None:
         raise UsageError(f"{source.text}: to know how much φ differ takes at least 2 φ with 2 trials each")
-    sizes = _sizes(arguments, source, between, within)
+    counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
+    if arguments.width is not None:
+        prior = None if arguments.figure == "contact_rate" else DISTANCES
+        sizes = sizes_for_width(arguments.width, between, within, prior=prior, counts=counts)
+    else:
+        sizes = sizes_for_power(
+            arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts
+        )
     if not sizes:
         raise UsageError("even 10,000 φ are not enough: ask for a wider interval or a larger difference")
     cheapest = min(sizes, key=lambda size: (size.episodes, size.safe))
@@ -86,14 +93,6 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             "does not rely on it"
         )
     return finish(arguments, content, show, warnings)
-
-
-def _sizes(arguments: argparse.Namespace, source: _Variances, between: float, within: float) -> list[Size]:
-    counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
-    if arguments.width is not None:
-        prior = None if arguments.figure == "contact_rate" else DISTANCES
-        return sizes_for_width(arguments.width, between, within, prior=prior, counts=counts)
-    return sizes_for_power(arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts)
 
 
 def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _Variances:
@@ -142,15 +141,10 @@ def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _V
         raise UsageError(held.planned_refusal or f"{first.folder} and {second.folder} have no {figure} in common")
     if not first.same_safe(second.safe):
         raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
-    differences = _trial_differences(first.groups[figure], second.groups[figure])
+    pairs = zip(first.groups[figure], second.groups[figure], strict=True)
+    differences = [np.subtract(other[: len(one)], one[: len(other)]) for one, other in pairs]
     text = f"of the difference on the same φ, from {first.folder} and {second.folder}"
     return _Variances(variance_components(differences), True, text, len(differences))
-
-
-def _trial_differences(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
-    """Return per φ the differences of trials of one number."""
-    pairs = zip(first, second, strict=True)
-    return [np.subtract(other[: len(one)], one[: len(other)]) for one, other in pairs]
 
 
 def _table(sizes: Sequence[Size], cheapest: Size) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,11 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json, real_path
 
-from skd_evaluator.assessment.compare.comparison import Comparison
+from skd_evaluator.assessment.compare.comparison import Comparison, compare
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.assessment.files.results import assessments_below
+from skd_evaluator.assessment.files.results import StoredResult, assessments_below
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.provenance import code_of_car
@@ -133,66 +133,45 @@ def read_run(folder: Path) -> Run:
     return run if known else Run(folder, run.figures, "has no manifest")
 
 
-@dataclass(frozen=True)
-class Trend:
-    """How a car has changed in a scenario.
+def trends_of(results: Sequence[StoredResult], figure: str) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return how each car has changed in each scenario, as JSON has it, and what to know of it, a line each.
 
-    Attributes:
-        car: name of the car.
-        scenario: name of the scenario.
-        figure: key of the figure that is followed.
-        runs: the assessments, the earliest first.
-        comparisons: of each with the one before; None for the first.
-        confidence: of each verdict.
-    """
-
-    car: str
-    scenario: str
-    figure: str
-    runs: tuple[Run, ...]
-    comparisons: tuple[Comparison | None, ...]
-    confidence: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it; verdicts go by margin and risk, whichever figure is followed."""
-        about = {"car": self.car, "scenario": self.scenario, "figure": self.figure, "confidence": self.confidence}
-        return {**about, "runs": [self._row(*pair) for pair in zip(self.runs, self.comparisons, strict=True)]}
-
-    def _row(self, run: Run, compared: Comparison | None) -> dict[str, Any]:
-        change = None if compared is None else compared.differences.get(self.figure)
-        return {
-            "folder": str(run.folder),
-            "date": run.date,
-            "revision": run.revision,
-            "value": run.figures.get(self.figure),
-            "ci95": run.figures.get(f"{self.figure}_ci95"),
-            "verdict": "" if compared is None else compared.verdict_beside(self.figure),
-            "credible": not run.not_credible,
-            "difference": None if change is None else change.value,
-            "difference_interval": None if change is None else change.interval,
-            "lines": [] if compared is None else compared.lines(),
-        }
-
-
-def trends_of(runs: Sequence[Run], figure: str, compare: Callable[[Run, Run, float], Comparison | None]) -> list[Trend]:
-    """Return a trend for each car and scenario, in the order of their names.
-
-    All verdicts of a car together are to be right with 95 %: each has Bonferroni's share.
+    Each result is compared with the one before. All verdicts of a car together are to be right with 95 %: each has
+    Bonferroni's share. Verdicts go by margin and risk, whichever figure is followed.
 
     Args:
-        runs: the assessments, in any order.
+        results: in any order.
         figure: key of the figure that is followed.
-        compare: compares the second with the first, with a confidence.
     """
-    groups: dict[tuple[str, str], list[Run]] = {}
-    for run in sorted(runs, key=lambda one: (one.date, str(one.folder))):
-        groups.setdefault((run.car, run.scenario), []).append(run)
-    found = []
+    groups: dict[tuple[str, str], list[tuple[Run, StoredResult]]] = {}
+    runs = [(Run(one.folder, one.figures), one) for one in results]
+    for run, one in sorted(runs, key=lambda pair: (pair[0].date, str(pair[0].folder))):
+        groups.setdefault((run.car, run.scenario), []).append((run, one))
+    found, lines = [], []
     for (car, scenario), mine in sorted(groups.items()):
         confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
-        later = (compare(before, run, confidence) for before, run in itertools.pairwise(mine))
-        found.append(Trend(car, scenario, figure, tuple(mine), (None, *later), confidence))
-    return found
+        later = [compare(one, other, confidence) for (_, one), (_, other) in itertools.pairwise(mine)]
+        rows = [_trend_row(run, figure, *pair) for (run, _), *pair in zip(mine, [None, *later], strict=True)]
+        found.append({"car": car, "scenario": scenario, "figure": figure, "confidence": confidence, "runs": rows})
+        lines += [line for one in later for line in one.lines()]
+    return found, lines
+
+
+def _trend_row(run: Run, figure: str, compared: Comparison | None) -> dict[str, Any]:
+    change = None if compared is None else compared.differences.get(figure)
+    return {
+        "folder": str(run.folder),
+        "date": run.date,
+        "revision": run.revision,
+        "value": run.figures.get(figure),
+        "ci95": run.figures.get(f"{figure}_ci95"),
+        "margin_converged": run.figures.get("margin_converged"),
+        "verdict": "" if compared is None else compared.verdict_beside(figure),
+        "credible": not run.not_credible,
+        "difference": None if change is None else change.value,
+        "difference_interval": None if change is None else change.interval,
+        "lines": [] if compared is None else compared.lines(),
+    }
 
 
 _UNKNOWN = "unknown"
@@ -202,7 +181,7 @@ _number, _interval = TERMINAL.number, TERMINAL.interval
 
 def runs_table(runs: Sequence[Run]) -> Table:
     """Return the table of assessments that could be read, a row each; those with a remark are marked."""
-    parent = _common_parent(runs)
+    parent = _common_parent([run.folder for run in runs])
     rows = [
         (
             f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.warnings else ''}",
@@ -222,9 +201,9 @@ def runs_table(runs: Sequence[Run]) -> Table:
     return narrow_table(title, (*heads, "code of\nthe car", "date\n(UTC)"), rows, whole=True)
 
 
-def _common_parent(runs: Sequence[Run]) -> Path:
+def _common_parent(folders: Sequence[Path]) -> Path:
     """Return the folder that holds those of all assessments: what is left of their names tells them apart."""
-    parents = [run.folder.parent for run in runs]
+    parents = [one.parent for one in folders]
     if len({parent.is_absolute() for parent in parents}) > 1:
         parents = [parent.absolute() for parent in parents]
     return Path(os.path.commonpath(parents) or ".")
@@ -234,32 +213,32 @@ def _minute(date: str) -> str:
     return date[:16].replace("T", " ")
 
 
-def trend_table(trend: Trend) -> Table:
-    """Return the table of how a car has changed, the earliest result first."""
-    figure = AT_THE_TOP[trend.figure]
-    parent = _common_parent(trend.runs)
+def trend_table(trend: Mapping[str, Any]) -> Table:
+    """Return the table of how a car has changed, one of `trends_of`, the earliest result first."""
+    figure = AT_THE_TOP[trend["figure"]]
+    parent = _common_parent([Path(row["folder"]) for row in trend["runs"]])
     by = ",\nby φ" if figure.by_phi else ""
     heads = ["date\n(UTC)", "code of\nthe car", figure.heading.replace(" (", "\n("), f"95 %{by}"]
-    heads += ["against the\none before", "difference", f"{100.0 * trend.confidence:.3g} %{by}", "folder"]
-    scale, rows = figure.kind.scale, []
-    for run, row in zip(trend.runs, trend.as_dict()["runs"], strict=True):
-        value, change = row["value"], row["difference"]
-        bound = run.figures if trend.figure == "margin" else {}
-        rows.append(
-            [
-                _minute(row["date"]),
-                row["revision"] or _UNKNOWN,
-                bounded_cell(bound, _number(None if value is None else scale * value)),
-                _interval(_scaled(row["ci95"], scale), 2),
-                f"[bold]{row['verdict']}[/]{'' if row['credible'] else '[red] not credible[/]'}",
-                "" if change is None else f"{scale * change:+.3f}",
-                "" if change is None else _interval(_scaled(row["difference_interval"], scale)),
-                escape(os.path.relpath(run.folder, parent)),
-            ]
-        )
-    title = f"{escape(trend.car)} in {escape(trend.scenario)}: {figure.label}; in {escape(str(parent))}"
+    heads += ["against the\none before", "difference", f"{100.0 * trend['confidence']:.3g} %{by}", "folder"]
+    scale = figure.kind.scale
+
+    def scaled(interval: Sequence[float] | None) -> list[float] | None:
+        return None if interval is None else [scale * end for end in interval]
+
+    rows = [
+        [
+            _minute(row["date"]),
+            row["revision"] or _UNKNOWN,
+            bounded_cell(
+                row if figure.key == "margin" else {}, _number(None if row["value"] is None else scale * row["value"])
+            ),
+            _interval(scaled(row["ci95"]), 2),
+            f"[bold]{row['verdict']}[/]{'' if row['credible'] else '[red] not credible[/]'}",
+            "" if row["difference"] is None else f"{scale * row['difference']:+.3f}",
+            "" if row["difference"] is None else _interval(scaled(row["difference_interval"])),
+            escape(os.path.relpath(row["folder"], parent)),
+        ]
+        for row in trend["runs"]
+    ]
+    title = f"{escape(trend['car'])} in {escape(trend['scenario'])}: {figure.label}; in {escape(str(parent))}"
     return narrow_table(title, heads, rows)
-
-
-def _scaled(interval: Sequence[float] | None, scale: float) -> list[float] | None:
-    return None if interval is None else [scale * end for end in interval]

@@ -85,35 +85,27 @@ def _is_requested(one: Run, arguments: argparse.Namespace) -> bool:
 
 
 def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence[Run]) -> int:
-    from skd_evaluator.assessment.compare.comparison import Comparison, compare
     from skd_evaluator.assessment.files.results import read_result
-    from skd_evaluator.report.history import Run, trend_table, trends_of
+    from skd_evaluator.report.history import trend_table, trends_of
     from skd_evaluator.report.terminal import print_table
 
     lines = [f"left out: {one.folder}: {one.remark}" for one in unread]
-    read = {}
+    results = []
     for one in found:
         try:
-            read[one.folder] = read_result(one.folder)  # it is checked against its episodes
+            results.append(read_result(one.folder))  # it is checked against its episodes
         except UsageError as error:
             lines.append(f"left out: {error}")
-    if len(read) < 2:
+    if len(results) < 2:
         raise UsageError("; ".join(["a trend is of at least two assessments of a car", *lines[:1]]))
-    runs = [Run(folder, result.figures) for folder, result in read.items()]
-
-    def judged(first: Run, second: Run, confidence: float) -> Comparison:
-        return compare(read[first.folder], read[second.folder], confidence)
-
-    trends = trends_of(runs, arguments.trend, judged)
-    lines += [remark for result in read.values() for remark in result.remarks]
-    for compared in (step for trend in trends for step in trend.comparisons if step is not None):
-        lines += compared.lines()
+    trends, said = trends_of(results, arguments.trend)
+    lines += [*(remark for result in results for remark in result.remarks), *said]
 
     def show() -> None:
         for trend in trends:
             print_table(trend_table(trend))
 
-    return finish(arguments, {"figure": arguments.trend, "cars": [one.as_dict() for one in trends]}, show, lines)
+    return finish(arguments, {"figure": arguments.trend, "cars": trends}, show, lines)
 
 
 def _namesakes(runs: Sequence[Run]) -> list[str]:

@@ -220,7 +220,6 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
         ("safe trajectories", f"{figures['safe']} ({len(figures['per_safe_trajectory'])})"),
         ("scenario", scenario_name(figures) or f"{figures['scenario']['name']} (of its own: see the file below)"),
         ("seed", str(figures["seed"])),
-        ("adversary model", str(figures.get("adversary_model") or NOTHING)),
         ("planner's budget", f"{figures['simulations']:,} simulations per decision"),
         ("objectives", ", ".join(figures["objectives"])),
         ("maximum distance", number(figures["maximum_distance"], 2, "m")),
