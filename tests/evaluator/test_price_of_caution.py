@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, warnings, why_no_price
@@ -19,6 +20,8 @@ from skd_evaluator.metrics.price_of_caution import (
     does_not_get_past,
     stratified_interval,
 )
+from skd_evaluator.report.tables import comparison_table
+from skd_evaluator.report.terminal import print_table
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
@@ -159,6 +162,15 @@ def test_only_a_lower_end_above_five_percent_says_that_a_car_does_not_get_past()
     assert does_not_get_past({"deadlock_ci95": (0.06, 0.2)})
     assert not does_not_get_past({"deadlock_ci95": (0.04, 0.2)})
     assert not does_not_get_past({"deadlock_ci95": None})
+
+
+def test_who_does_not_get_past_people_never_ranks_first(capsys: pytest.CaptureFixture[str]) -> None:
+    row = dict.fromkeys(columns("compare"))
+    cars = (("stuck", 4.9, (0.9, 1.0)), ("good", 1.2, (0.0, 0.1)), ("bad", 0.3, (0.0, 0.1)))
+    rows = [{**row, "car": name, "margin": margin, "deadlock_ci95": ends} for name, margin, ends in cars]
+    print_table(comparison_table(rows, "margin"))
+    shown = capsys.readouterr().out
+    assert shown.index("stuck, does not get past people") < shown.index("bad ") < shown.index("good ")
 
 
 def test_aborted_harmless_runs_are_said() -> None:

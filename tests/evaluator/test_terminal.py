@@ -89,17 +89,6 @@ def test_tables_are_plain_without_a_terminal(capsys, monkeypatch):
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 30
 
 
-@pytest.mark.parametrize("colour", [True, False])
-def test_a_terminal_without_colour_gets_none(capsys, monkeypatch, colour):
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    if not colour:
-        monkeypatch.setenv("NO_COLOR", "1")
-    print_table(a_table())
-    assert ("\x1b[31m" in capsys.readouterr().out) == colour
-
-
 def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
     one = {"margin": 0.5, "deviation": 1.0, "skd": 2.0, "nominal_collision_rate": 0.1}
     rows = [{"name": "a", **one}, {"name": "b", **one, "skd": 2.0000001}, {"name": "c", **one}]

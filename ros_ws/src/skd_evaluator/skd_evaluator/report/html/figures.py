@@ -110,14 +110,16 @@ def _bounded(one: Subject, key: str) -> str:
 def _ranking(members: Sequence[Subject], key: str) -> str:
     name = AT_THE_TOP[key].label
     ordered = sorted(members, key=lambda one: float(one.figures[key]))
-    last, first = ordered[-1], ordered[0]
+    passing = [one for one in ordered if not does_not_get_past(one.figures)]
+    ranked, which = (passing, " that get past people") if 1 < len(passing) < len(ordered) else (ordered, "")
+    last, first = ranked[-1], ranked[0]
     close = [
         f"{low.label} and {high.label}"
         for low, high in itertools.pairwise(ordered)
         if _overlap(low.figures[f"{key}_ci95"], high.figures[f"{key}_ci95"])
     ]
     text = (
-        f"Of {counted(len(members), 'assessment')} over the same φ, {last.label} has the greatest {name} "
+        f"Of {counted(len(ranked), 'assessment')} over the same φ{which}, {last.label} has the greatest {name} "
         f"({_bounded(last, key)}) and {first.label} the least ({_bounded(first, key)})."
     )
     if out := [one.label for one in members if does_not_get_past(one.figures)]:
@@ -126,10 +128,10 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
     if close and len(members) == 2:
         text += f" Their intervals by φ {'overlap' if known else 'are not known'}; skd compare judges such pairs."
     elif close:
-        which = f": {'; '.join(close)}" if len(close) <= _FEW else ""
+        named = f": {'; '.join(close)}" if len(close) <= _FEW else ""
         text += (
             f" Of {len(members) - 1} pairs of neighbours, {len(close)} have intervals by φ that overlap"
-            f"{'' if known else ', or none'}{which}; skd compare judges such pairs."
+            f"{'' if known else ', or none'}{named}; skd compare judges such pairs."
         )
     return text
 
