@@ -40,7 +40,7 @@ from skd_sim.world.state import AdversaryState, CarState
 
 
 class GradedCar:
-    """A car that brakes the harder the nearer somebody is, and speeds up again: no family knows such a law."""
+    """A car that brakes the harder the nearer a road user is, and speeds up again: no family knows such a law."""
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         self._front = scenario.car.front

@@ -127,10 +127,8 @@ MISTAKES: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
     "leaps from then on": (PED, lambda r: _changed(r, {3: lambda x: x + 1.0}) if _late(r) else r, "line 98: moves"),
     "feet": (PED, lambda r: _changed(r, {3: lambda x: x / 0.3048, 4: lambda x: x / 0.3048}), "their velocities"),
     "a hole": (PED, lambda r: [r[0], str(int(r[1]) + 30 * _late(r)), *r[2:]], "line 98: 1.03 s after the row before"),
-    "half the frame rate": (PED, lambda r: [r[0], str(2 * int(r[1])), *r[2:]], "their velocities"),
     "x and y": (PED, lambda r: [*r[:3], r[4], r[3], *r[5:]], "their velocities"),
     "the cart's degrees": (VEH, lambda r: _changed(r, {5: math.degrees}), "their velocities"),
-    "the cart in reverse": (VEH, lambda r: [r[0], r[1], r[2], *_changed(r[3:], {3: lambda v: -v})], "their velocities"),
 }
 
 

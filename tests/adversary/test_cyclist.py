@@ -12,12 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skd_adversary.crossing import road_users
 from skd_adversary.crossing.road_users import (
-    ACCELERATE,
-    BRAKE,
     BRAKE_LEFT,
     BRAKE_RIGHT,
     CYCLIST,
-    KEEP,
     LEFT,
     RIGHT,
 )
@@ -51,15 +48,6 @@ def test_it_rides_where_it_points_and_leans_no_further_than_it_can(heading: floa
         assert abs(turned) * after <= LATERAL_ACCELERATION * STEP + 1e-9
         side = {LEFT: 1.0, BRAKE_LEFT: 1.0, RIGHT: -1.0, BRAKE_RIGHT: -1.0}.get(action, 0.0)
         assert math.copysign(1.0, turned) == side if side else abs(turned) < 1e-9
-
-
-def test_speeds_by_hand() -> None:
-    assert ridden(0.0, 3.0, KEEP, MOST, 0.3) == (3.0, 0.0)
-    assert ridden(0.0, 3.0, ACCELERATE, MOST, 0.3) == pytest.approx((3.3, 0.0))
-    assert ridden(0.0, 3.0, BRAKE, MOST, 0.3) == pytest.approx((2.1, 0.0))
-    assert ridden(0.0, 0.5, BRAKE, MOST, 0.3) == (0.0, 0.0)
-    assert ridden(0.0, 6.0, LEFT, MOST, 0.3) == pytest.approx((6.0 * math.cos(0.15), 6.0 * math.sin(0.15)))
-    assert ridden(0.0, 7.0, ACCELERATE, MOST, 0.3) == (7.0, 0.0)  # a φ that is faster is not slowed down
 
 
 @pytest.mark.parametrize("objective", list(Objective))

@@ -73,17 +73,6 @@ def test_delayed_car_brakes_later():
     assert np.diff([25 / 3, *speeds]) == pytest.approx([0.0, 0.0, -1.05, -1.05])
 
 
-def test_a_car_speeds_up_towards_its_speed_but_no_faster_than_its_limit():
-    numbers = {"trigger": 0.0, "cruise_speed": 8.0, "cruise_gain": 0.5, "cruise_acceleration": 1.5, "speed_noise": 0.0}
-    _, fitted = models(a_car(**{name: ParameterPrior("point", value) for name, value in numbers.items()}))
-    state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
-    for speed, expected in ((2.0, 1.5), (4.0, 1.5), (6.0, 1.0), (8.0, 0.0), (9.0, -0.5)):
-        fitted.initial(fitted.parameters, state, np.random.default_rng(0))
-        state[CAR_SPEED] = speed
-        fitted.step(fitted.parameters, state, STAY, after, np.random.default_rng(0))
-        assert (after[CAR_SPEED] - speed) / 0.3 == pytest.approx(expected)
-
-
 def test_what_is_uncertain_is_drawn_from_its_prior():
     _, fitted = models(
         a_car(trigger=ParameterPrior("uniform", 8.0, 10.0), deceleration=ParameterPrior("normal", 4.0, 0.5))

@@ -20,7 +20,6 @@ from skd_sim.world.state import Trajectory
 CROSSING = load_scenario("crossing")
 EYES = Eyes(CROSSING)
 HERE, MISSING = available()
-FRONT, RADIUS = CROSSING.car.front, CROSSING.adversary.radius
 HESITANT = Trajectory(
     np.column_stack([[-3.5, -2.75, -2.0, -1.6, -1.6, -1.6, -0.85, -0.1, 0.65, 1.4, 2.15], np.zeros(11)]),
     0.3,

@@ -1,4 +1,4 @@
-"""With which side of a car somebody was touched: against closed forms, and against shapely at the time of contact."""
+"""With which side of a car a pedestrian was touched: against closed forms, and against shapely at the time of contact."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SPEED, HALF_WIDTH, RADIUS = 25.0 / 3.0, 0.9, 0.25
 
 
 def crossing(speed: float, at: float, start: float = -3.5, delay: int = 0) -> Trajectory:
-    """Return somebody who crosses eastwards at a place along the road."""
+    """Return a pedestrian who crosses eastwards at a place along the road."""
     x = np.concatenate([np.full(delay, start), np.arange(start, 3.0, 0.3 * speed)])
     return Trajectory(np.column_stack([x, np.full(len(x), at)]), 0.3)
 
@@ -44,7 +44,7 @@ def run(phi: Trajectory, scenario=STEADY):
 @given(st.floats(0.5, 3.5), st.floats(-8.0, 8.0), st.integers(0, 8))
 @settings(max_examples=100, deadline=None)
 def test_the_side_is_the_one_that_is_nearest_to_the_adversary_when_they_first_touch(speed, at, delay):
-    """An unbraked car and somebody who crosses: both move uniformly, so shapely finds the contact by bisection."""
+    """An unbraked car and a pedestrian who crosses: both move uniformly, so shapely finds the contact by bisection."""
     phi = crossing(speed, at, delay=delay)
     assume(len(phi) <= STEADY.ticks)
     log = run(phi)

@@ -13,25 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rank_agreement import agreement, kendall_tau
 from scipy import stats
-from skd_adversary.safe_trajectories.sources import read_csv_trajectory
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_sim.scenario.scenario import load_scenario
 
 CARS_HERE = [car for car in CARS if car.label in ("basic, C = 0.75", "basic, C = 1.5")]
-
-
-def test_phi_are_the_same_to_the_last_bit_when_they_are_read(tmp_path):
-    transfer.write_phi(tmp_path / "phi", 2, 0)
-    with InProcessRunner(1) as runner:
-        expected = safe_trajectories(Plan(load_scenario("crossing"), safe_count=2), runner)
-    files = sorted((tmp_path / "phi").iterdir())
-    for scenario in ("crossing", "crossing_multi_body"):
-        read = [read_csv_trajectory(file, load_scenario(scenario)) for file in files]
-        assert all(
-            np.allclose(one.positions, other.positions, atol=1e-12) for one, other in zip(read, expected, strict=True)
-        )
 
 
 def test_cars_are_rated_in_a_world_once_and_stand_in_the_table(tmp_path, capsys):

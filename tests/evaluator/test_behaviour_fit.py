@@ -12,7 +12,6 @@ import yaml
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.main import main
 from skd_evaluator.metrics.behaviour.model import (
-    MEANINGS,
     NAMES,
     OF_PERSON,
     OF_TICK,
@@ -20,7 +19,6 @@ from skd_evaluator.metrics.behaviour.model import (
     load_behaviour,
     normals_of,
     walked,
-    write_behaviour,
 )
 from skd_evaluator.risk.behaviour.fit import (
     FITTED,
@@ -90,18 +88,6 @@ def test_the_command_writes_a_model_that_says_how_well_it_predicts(tmp_path, cap
     assert (tmp_path / "out" / "behaviour.png").stat().st_size > 10_000
 
 
-def test_people_who_never_hesitate_tell_nothing_of_how_long_they_would():
-    """Such people had ended in `LinAlgError: Singular matrix`."""
-    rng = np.random.default_rng(1)
-    steps = np.column_stack([rng.normal(1.4, 0.1, 12), rng.normal(0.0, 0.1, 12)])[:, None] * 0.3
-    ways = np.cumsum(steps + rng.normal(0.0, 0.01, (12, 18, 2)), axis=1)
-    found = fit_behaviour(list(ways), 0.3, intervals=False)
-    meaning = MEANINGS["hesitation_time"]
-    assert found.intervals["hesitation_time"] == (meaning.low, meaning.high)
-    assert all(low <= high for low, high in found.intervals.values())
-    assert np.isfinite(found.values).all()
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -161,7 +147,7 @@ TICKS = 40
 
 
 def values(**changes: float) -> np.ndarray:
-    """Parameters of somebody who does nothing but what is asked."""
+    """Parameters of a pedestrian who does nothing but what these say."""
     calm = dict.fromkeys(NAMES, 0.0) | {"pace_time": 1.0, "turn_time": 1.0, "hesitation_time": 1.0, "hesitation": 9.0}
     return np.array(list({**calm, "hesitation_depth": 1.0, **changes}.values()))
 
@@ -229,19 +215,10 @@ def test_processes_keep_their_size_and_their_memory():
     assert np.corrcoef(doubt[:-1], doubt[1:])[0, 1] == pytest.approx(2.0 * keep / (1.0 + keep**2), abs=0.01)
 
 
-def test_a_file_is_read_as_it_was_written(walkers, tmp_path):
-    write_behaviour(tmp_path / "behaviour.yaml", walkers)
-    for path in (tmp_path, tmp_path / "behaviour.yaml"):
-        assert load_behaviour(path) == walkers
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"kind": "duck"}, "unknown road user 'duck'; known are pedestrian"),
-        ({"colour": "red"}, "unknown key colour; allowed: name, kind"),
         ({"parameters": {"pase": {"value": 0.1, "source": "x"}}}, "unknown key parameters.pase; .* mean 'pace'"),
-        ({"parameters": {}}, "missing key parameters.start_delay"),
         ({"pace": {"value": 7.0, "source": "x"}}, r"parameters.pace.value must be a number from 0 to 1, got 7"),
         ({"pace": {"value": 0.1, "source": " "}}, "parameters.pace: source must say where"),
         ({"pace": {"value": 0.1, "source": "x", "interval_95": [0.2, 0.3]}}, "interval_95 must hold the value 0.1"),

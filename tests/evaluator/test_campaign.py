@@ -155,7 +155,7 @@ def test_walkers_are_as_many_different_safe_crossings_as_are_asked_for(name):
     for phi in safe:
         arrived = [end.arrived(x, y) for x, y in phi.positions.tolist()]
         assert arrived == [False] * (len(phi) - 1) + [True]
-    # nobody is hit by the paper's safest car under the draws with which the crossing was found
+    # none is hit by the paper's safest car under the draws with which the crossing was found
     numbers = [episode_id(EpisodeGroup.SAFE, 0, int(phi.name.removeprefix("walkers/"))) for phi in safe]
     along = [
         EpisodeSpec(plan.scenario, Mode.REPLAY, 4, number, safe_trajectory=phi, multiplier=1.15)

@@ -40,7 +40,7 @@ def tracked(
     clock: float = 7.3, gap: float = GAP, speed: float = SPEED, said: float | None = None, aside: float = 0.0,
     ids: tuple[str, str] = ("car", "other"),
 ) -> Path:  # fmt: skip
-    """A table of a car that keeps its speed, and of somebody on φ, who stands before and after."""
+    """A table of a car that keeps its speed, and of a road user on φ, who stands before and after."""
     cos, sin = math.cos(frame.turned), math.sin(frame.turned)
     lines = ["t,id,x,y,heading,speed"]
 
@@ -73,7 +73,7 @@ def test_a_recording_gives_timing_and_figures_whatever_its_rates_frame_and_clock
     assert moved.gap == pytest.approx(GAP, abs=0.03)
     for key in ("clearance", "hit"):
         assert moved.values[key] == pytest.approx(plain.values[key], abs=0.03)
-    # Who walks leaves the car's strip before the car is there: nobody has to brake, and the rest is geometry.
+    # Who walks leaves the car's strip before the car is there: no car has to brake, and the rest is geometry.
     passed = GAP / SPEED
     assert passed * WALKED - 3.5 > SCENARIO.path_edge
     times = np.linspace(0.0, 14 * SCENARIO.time_step, 200_001)
@@ -168,11 +168,8 @@ def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
 @pytest.mark.parametrize(
     ("rows", "says"),
     [
-        ("t,id,x\n", "no column 'y'"),
         ("t,id,x,y,x\n0,car,0,0,1\n", "two columns 'x'"),
-        ("t,id,x,y\n0,car,0\n", "3 values where the header names 4"),
         ("t,id,x,y\n0,car,zero,0\n", "line 2: x must be a number"),
-        ("t,id,x,y\n0,car,nan,0\n", "line 2: x must be finite"),
         ("t,id,x,y\n0,car,0,0\n0,other,0,0\n", "1 position; a track has"),
         ('t,id,x,y\n0,"a\nb",0,0\n', "has no object 'car' but 'a b'; name them"),
     ],
@@ -189,19 +186,13 @@ def test_tables_of_tracks_that_are_none(tmp_path: Path, rows, says):
     [
         ("phi,clearence\na,1\n", "unknown column 'clearence'; did you mean 'clearance'"),
         ("clearance\n1\n", "no column 'phi'"),
-        ("phi,gap\na,1\n", "neither a column 'file'"),
         ("phi,clearance\n", "has no trial"),
         ("phi,clearance\na,1300\n", "line 2: clearance must be from 0 to 100 m, got 1300: is it in m"),
-        ("phi,clearance\na,-1\n", "from 0 to 100 m"),
-        ("phi,clearance\na,nan\n", "finite"),
         ("phi,hit\na,0.5\n", "1 .the car hit. or 0"),
-        ("phi,required_deceleration\na,45\n", "9.81 m/s²"),
         ("phi,clearance,hit\na,1,1\n", "the car hit, and its clearance is 1 m"),
-        ("phi,clearance\n,1\n", "phi is empty"),
         ("phi,clearance\na,\n", "neither a file nor a figure"),
         ("phi,clearance,gap\na,1,5000\n", "gap must be"),
         ("phi,file\na,b\n", "SIMULATED must be the folder of an assessment"),
-        ("phi,clearance\na\n", "1 values where the header names 2"),
     ],
 )
 def test_tables_of_trials_that_are_none(tmp_path: Path, text, says):

@@ -25,8 +25,8 @@ class Brakes:
     def command(self, car, adversary):
         self.calls += 1
         time = 0.05 * (self.calls - 1)
-        somebody = adversary.y - car.y < self.sees  # a car that brakes for nobody is not tested
-        return -self.deceleration if somebody and self.begins - 1e-9 <= time < self.ends - 1e-9 else 0.0
+        near = adversary.y - car.y < self.sees  # a car that brakes where there is no road user is not tested
+        return -self.deceleration if near and self.begins - 1e-9 <= time < self.ends - 1e-9 else 0.0
 
 class Early(Brakes):
     begins, ends, deceleration = 1.5, 100.0, 6.0
@@ -44,9 +44,6 @@ class Keeps(Brakes):
         super().reset(scenario, rng)
         Keeps.begun += 1  # brakes later from test to test
         self.begins = 1.0 + 0.5 * Keeps.begun
-class Raises:
-    def reset(self, scenario, rng): pass
-    def command(self, car, adversary): return 1 / 0
 """
 STILL = """name: still
 description: As cpna-90, without any noise of the car.
@@ -186,12 +183,6 @@ def test_cells_that_cannot_be_judged_say_why(cars):
 def test_what_cannot_be_asked_is_said_in_one_line(skd_here, here, words, said):
     one_line(skd_here("ncap", *words, "--out", "out"), 2, said)
     assert not (here / "out").exists()
-
-
-def test_a_car_that_fails_ends_the_command(cars):
-    done = skd("ncap", "--controller", "ncap_cars:Raises", "--scenarios", "cpna-50", *NONE, "--out", "o", cwd=cars)
-    one_line(done, 1, "ncap_cars:Raises", "ZeroDivisionError")
-    assert not (cars / "o").exists()
 
 
 def test_a_car_that_does_not_repeat_itself_is_not_credible(cars):

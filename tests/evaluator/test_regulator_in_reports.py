@@ -112,13 +112,6 @@ def test_colours_are_those_of_the_matrix_at_each_speed():
     assert layout_of(passed.grid).columns == ("25 %", "75 %")
 
 
-def test_each_car_and_scenario_has_a_grid():
-    results = [found("cpna", speed, 50.0, car=car) for speed, car in ((30.0, "x:Y"), (30.0, "x:Z"), (40.0, "x:Y"))]
-    views = views_of([*results, found("cpfa", 30.0, 50.0)])
-    assert [(view.car, view.grid.scenario) for view in views] == [("x:Y", "cpna"), ("x:Z", "cpna"), ("x:Y", "cpfa")]
-    assert [len(view.grid.cells) for view in views] == [2, 1, 1]
-
-
 @pytest.mark.parametrize(
     ("result", "why"),
     [
@@ -136,22 +129,3 @@ def test_what_is_no_test_has_no_colour_and_says_why(result, why):
     assert why in cell.why
     assert cell.margin == 1.0
     assert any(why in line for line in reasons(view.grid))
-
-
-def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeypatch):
-    """It brakes nowhere, and raises where its speed has no noise, which it has in every trial."""
-    (tmp_path / "fails_alone.py").write_text(
-        "class Car:\n"
-        "    def reset(self, scenario, rng): self.before = None\n"
-        "    def command(self, car, adversary):\n"
-        "        before, self.before = self.before, car.speed\n"
-        "        return 1 / 0 if before == car.speed else 0.0\n",
-        encoding="utf-8",
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    rating = assess("fails_alone:Car", scenario="cpna-50", safe="regulatory", objective="deviation", margin_limit=0,
-                    kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", adversary_model="generic",
-                    workers=1)  # fmt: skip
-    (test,) = rating.static_tests
-    assert "ZeroDivisionError" in test["aborted"]
-    assert rating.as_dict()["nominal_collision_rate"] == 1.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -97,12 +96,3 @@ def test_lanelets_lead_the_way_their_lanes_do():
                     other = one.scenario.road.every_lane[numbers[int(beside.get("ref", "0")) - 10_001]]
                     same = (other.direction == ONCOMING) == (one.scenario.road.every_lane[number].direction == ONCOMING)
                     assert beside.get("drivingDir") == ("same" if same else "opposite")
-
-
-def test_numbers_are_decimals_as_its_schema_wants(tmp_path: Path):
-    path = tmp_path / "a.xml"
-    write_commonroad(path, recorded("right_turn", whole_ticks=True))
-    root = ElementTree.parse(path).getroot()
-    texts = [one.text for one in root.iter() if one.text and one.text.strip() and one.tag in ("x", "y", "exact")]
-    assert len(texts) > 100
-    assert not any("e" in text.lower() or "n" in text.lower() for text in texts)

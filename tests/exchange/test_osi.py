@@ -53,7 +53,7 @@ def test_asams_own_library_reads_the_same_states(result: Path, skd_here, tmp_pat
         found = states(tmp_path / "out" / one["file"])
         if one["mode"] == "safe":
             phi = episodes.safe[one["phi"]]
-            assert 1 not in found  # nobody drives
+            assert 1 not in found  # the car is left out
             assert np.array_equal(found[2][:, 1:3], phi)
             continue
         number = next(
