@@ -1,4 +1,4 @@
-"""With which side of a car a pedestrian was touched: against closed forms, and against shapely at the time of contact."""
+"""With which side of a car a pedestrian was touched: against closed forms and shapely."""
 
 from __future__ import annotations
 

@@ -11,24 +11,15 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_adversary.car_models.car_model_file import (
-    OPTIONAL,
-    PARAMETERS,
-    CarParameter,
-    FittedCar,
-    ParameterPrior,
-    car_model_text,
-)
+from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar, car_model_text
 from skd_adversary.car_models.forest import TICK, gridded, pack
+from skd_adversary.car_models.identifiability import Identification
 
 
 def any_car_models() -> list[str]:
     """Return a model of each kind that a car can have, as an episode carries it, which says nothing of any car."""
-    parameters = {
-        name: CarParameter(ParameterPrior("point", 0.0), reason="not identifiable: there are no logs")
-        for name in PARAMETERS
-        if name not in OPTIONAL
-    }
+    names = [name for name in PARAMETERS if name not in OPTIONAL]
+    parameters = Identification(logs=0, start_speed=0.0).unknown("there are no logs", *names)
     step = load_scenario(DYNAMICS[BASIC].scenario).time_step
     law = FittedCar(measure="distance", gate="none", spread="sharp", lapse=0.0, parameters=parameters, time_step=step)
     one_leaf = pack(
@@ -58,22 +49,9 @@ def warm_up_episodes(
     """
     scenario = load_scenario(DYNAMICS[dynamics].scenario)
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)
-    episodes = [
-        EpisodeSpec(scenario, Mode.SAFE, 0, 0, simulations=10),
-        EpisodeSpec(
-            scenario,
-            Mode.KAMIKAZE,
-            0,
-            0,
-            controller=controller,
-            safe_trajectory=across,
-            simulations=10,
-            objective=objective,
-        ),
-    ]
-    if car_model:
-        fitted = [
-            replace(episode, controller=controller, car_model=car_model, adversary_model=None) for episode in episodes
-        ]
-        return [episodes[0], *fitted]
-    return episodes
+    safe = EpisodeSpec(scenario, Mode.SAFE, 0, 0, simulations=10)
+    kamikaze = replace(safe, mode=Mode.KAMIKAZE, controller=controller, safe_trajectory=across, objective=objective)
+    if not car_model:
+        return [safe, kamikaze]
+    learned = {"controller": controller, "car_model": car_model, "adversary_model": None}
+    return [safe, replace(safe, **learned), replace(kamikaze, **learned)]

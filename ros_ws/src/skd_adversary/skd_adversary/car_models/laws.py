@@ -11,6 +11,7 @@ has not seen is said by their probability integral transform.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -317,17 +318,14 @@ def fit_family(family: Family, e: BrakingEvidence, sharp: Law | None = None, nea
         return -value(float(point[0]), float(np.exp(point[1]))) if inside else np.inf
 
     scale = max(law.trigger, 0.1)
-    options: Any = {"xatol": 1e-3 * max(law.trigger, 0.1), "fatol": 1e-2, "maxiter": 70}
-    best: Any = None
+    found: list[Any] = []
     for share in (0.01, 0.15) if near is None else (near.spread / scale,):
         share = max(share, 1e-4)
         start = np.array([law.trigger, np.log(share * scale)])
         simplex = start + np.array([[0.0, 0.0], [share * scale, 0.0], [0.0, 1.0]])
-        found = scipy.optimize.minimize(
-            cost, start, method="Nelder-Mead", options=options | {"initial_simplex": simplex}
-        )
-        if best is None or found.fun < best.fun:
-            best = found
+        options: Any = {"xatol": 1e-3 * scale, "fatol": 1e-2, "maxiter": 70, "initial_simplex": simplex}
+        found.append(scipy.optimize.minimize(cost, start, method="Nelder-Mead", options=options))
+    best = min(found, key=lambda one: one.fun)
     return replace(law, trigger=float(best.x[0]), spread=float(np.exp(best.x[1])), log_likelihood=-float(best.fun))
 
 
@@ -386,7 +384,7 @@ def folds_of(episode: FloatArray | IntArray, folds: int) -> IntArray:
 def _held_out(law: Law, e: BrakingEvidence) -> LawCandidate:
     """Return the candidate of a law: its family is fitted to the other folds and judged on each."""
     fold = folds_of(e.episode, SELECTION_FOLDS)
-    _, first = np.unique(e.episode, return_index=True)
+    first = np.unique(e.episode, return_index=True)[1]
     held_out = np.zeros(first.size)
     for index in range(SELECTION_FOLDS):
         test = fold == index
@@ -405,12 +403,10 @@ def compare(change: SpeedChange, data: Observations, rows: BoolArray) -> list[La
         rows: the ticks that count.
     """
     found: list[LawCandidate] = []
-    for measure in MEASURES:
-        for gate in GATES:
-            for delay in DELAYS:
-                family = Family(measure, gate, "sharp", delay)
-                e = evidence(change, data, family, rows)
-                found.append(LawCandidate(fit_family(family, e), e, None))
+    for measure, gate, delay in itertools.product(MEASURES, GATES, DELAYS):
+        family = Family(measure, gate, "sharp", delay)
+        e = evidence(change, data, family, rows)
+        found.append(LawCandidate(fit_family(family, e), e, None))
     limit = min(candidate.aic for candidate in found) + _HOPELESS
     found = [_held_out(one.law, one.evidence) if one.aic <= limit else one for one in found]
     best = choose(found)
@@ -430,12 +426,11 @@ def choose(candidates: Sequence[LawCandidate]) -> LawCandidate:
     best = max(resolved, key=lambda candidate: candidate.score)
     alike = []
     for candidate in resolved:
-        if best.held_out is None or candidate.held_out is None:
-            continue
-        difference = best.held_out - candidate.held_out
-        error = math.sqrt(difference.size) * float(difference.std())
-        if float(difference.sum()) <= max(_NEAR, error):
-            alike.append(candidate)
+        if best.held_out is not None and candidate.held_out is not None:
+            difference = best.held_out - candidate.held_out
+            error = math.sqrt(difference.size) * float(difference.std())
+            if float(difference.sum()) <= max(_NEAR, error):
+                alike.append(candidate)
     return min(alike, key=lambda c: (c.law.family.parameters, -round(c.score, 6), c.law.family.measure))
 
 
@@ -485,10 +480,8 @@ def spread_estimates(e: BrakingEvidence, law: Law) -> tuple[IntervalEstimate, In
         low, high = _around(triggers, inside)
         least, most = _around(spreads, within)
         least = max(1e-4 * max(law.trigger, 1e-3), least)
-    return (
-        marginal_estimate(triggers, by_trigger, law.trigger),
-        marginal_estimate(spreads, by_spread, law.spread),
-    )
+    trigger = marginal_estimate(triggers, by_trigger, law.trigger)
+    return trigger, marginal_estimate(spreads, by_spread, law.spread)
 
 
 def _around(grid: FloatArray, inside: FloatArray) -> tuple[float, float]:

@@ -8,6 +8,7 @@ a = min(k·(ν_c − ν), a_max).
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -137,23 +138,18 @@ def _starts(data: Observations, base: SpeedChange) -> list[SpeedChange]:
     noises = np.unique(np.maximum(np.quantile(relative, np.linspace(0.05, 1.0, 12)), 1e-3))
     found: list[tuple[float, SpeedChange]] = []
     for deceleration in decelerations:
-        best, chosen = -np.inf, base
-        for noise in noises:
-            for spread in (0.02, 0.1, 0.3):
-                tried = base._replace(
-                    speed_noise=float(noise), deceleration=float(deceleration), deceleration_noise=spread
-                )
-                value, weights, _ = _mixture(densities(tried, some), 6)
-                if value > best:
-                    best, chosen = value, tried._replace(weights=weights)
-        found.append((best, chosen))
+        tried = []
+        for noise, spread in itertools.product(noises, (0.02, 0.1, 0.3)):
+            one = base._replace(speed_noise=float(noise), deceleration=float(deceleration), deceleration_noise=spread)
+            value, weights, _ = _mixture(densities(one, some), 6)
+            tried.append((value, one._replace(weights=weights)))
+        found.append(max(tried, key=lambda pair: pair[0]))
     starts: list[SpeedChange] = []
     for _, one in sorted(found, key=lambda pair: -pair[0]):
-        if len(starts) < _STARTS and all(
-            abs(math.log(one.deceleration / other.deceleration)) > _APART_STARTS for other in starts
-        ):
+        apart = (abs(math.log(one.deceleration / other.deceleration)) for other in starts)
+        if len(starts) < _STARTS and all(far > _APART_STARTS for far in apart):
             starts.append(one)
-    return starts or [base]
+    return starts
 
 
 def _refine_noise(p: SpeedChange, data: Observations) -> SpeedChange:
@@ -162,18 +158,22 @@ def _refine_noise(p: SpeedChange, data: Observations) -> SpeedChange:
     near = np.sort(relative[(relative > 0.5 * p.speed_noise) & (relative < 2.0 * p.speed_noise)])
     if near.size == 0:
         return p
+
     # Below the largest residual of a run of free ticks the likelihood only falls, so the last few of each run matter.
-    candidates = near[np.unique(np.linspace(0, near.size - 1, 30).round().astype(int))]
-    candidates = np.unique(np.append(candidates, near[-20:])) * (1.0 + 1e-12)
-    values = [_mixture(densities(p._replace(speed_noise=float(c)), data), 1, p.weights)[0] for c in candidates]
-    top = int(np.argmax(values))
-    low = candidates[max(0, top - 1)]
-    high = candidates[min(len(candidates) - 1, top + 1)]
+    def likeliest(noises: FloatArray) -> int:
+        every = (densities(p._replace(speed_noise=noise), data) for noise in noises.tolist())
+        return int(np.argmax([_mixture(one, 1, p.weights)[0] for one in every]))
+
+    def spread(noises: FloatArray, count: int) -> FloatArray:
+        return noises[np.unique(np.linspace(0, noises.size - 1, count).round().astype(int))]
+
+    candidates = np.unique(np.append(spread(near, 30), near[-20:])) * (1.0 + 1e-12)
+    top = likeliest(candidates)
+    low, high = candidates[max(0, top - 1)], candidates[min(len(candidates) - 1, top + 1)]
     finer = near[(near >= low) & (near <= high)] * (1.0 + 1e-12)
     if finer.size > 60:
-        finer = finer[np.unique(np.linspace(0, finer.size - 1, 60).round().astype(int))]
-    values = [_mixture(densities(p._replace(speed_noise=float(c)), data), 1, p.weights)[0] for c in finer]
-    return p._replace(speed_noise=float(finer[int(np.argmax(values))]))
+        finer = spread(finer, 60)
+    return p._replace(speed_noise=float(finer[likeliest(finer)]))
 
 
 def _refine_braking(p: SpeedChange, data: Observations, responsibility: FloatArray) -> SpeedChange:
@@ -195,11 +195,6 @@ def _refine_braking(p: SpeedChange, data: Observations, responsibility: FloatArr
     options: Any = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-5, "maxiter": 200}
     found = scipy.optimize.minimize(cost, start, method="Nelder-Mead", options=options)
     return p._replace(deceleration=float(np.exp(found.x[0])), deceleration_noise=float(np.exp(found.x[1])))
-
-
-def _regulated(p: SpeedChange, data: Observations, responsibility: FloatArray) -> SpeedChange:
-    """Return p with a gain and a cruise speed from the ticks that are not braking."""
-    return _pulled(p, data, (responsibility[0] > 0.5) | (responsibility[2] > 0.5))
 
 
 def _pulled(p: SpeedChange, data: Observations, free: BoolArray) -> SpeedChange:
@@ -225,11 +220,6 @@ def _pulled(p: SpeedChange, data: Observations, free: BoolArray) -> SpeedChange:
             limited = p._replace(gain=gain, cruise_speed=float(corner) + limit / gain, limit=limit)
     gained = speed.size * math.log(squares / best) if 0.0 < best < squares else 0.0
     return limited if gained > 2.0 * math.log(speed.size) + 10.0 else straight
-
-
-def _free_for_sure(data: Observations) -> BoolArray:
-    """Return the ticks in which no road user is near in front of the car, whatever its law."""
-    return np.asarray((data.gap < -data.car_length) | (data.gap > _FAR))
 
 
 def _clearly_pulled(p: SpeedChange, data: Observations, free: BoolArray) -> bool:
@@ -266,7 +256,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
     calm, calm_value = _without_braking(data)
     if value - calm_value < 1.5 * np.log(len(data)) + 3.0:  # two parameters and a weight, and a choice among ticks
         return calm, np.stack([np.ones(len(data)), np.zeros(len(data)), np.zeros(len(data))]), calm_value
-    pulled = _regulated(p, data, responsibility)
+    pulled = _pulled(p, data, (responsibility[0] > 0.5) | (responsibility[2] > 0.5))
     if pulled.gain > 0.0:
         free = np.abs(free_residual(pulled, data)) / np.maximum(data.speed, MOVING)
         rows = responsibility[0] > 0.5
@@ -277,7 +267,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
         if other[2] - value > np.log(len(data)):
             p, responsibility, value = other
     # Where speeding up and braking look alike, what the car does undisturbed distinguishes them.
-    sure = _free_for_sure(data)
+    sure = (data.gap < -data.car_length) | (data.gap > _FAR)  # no road user is near in front, whatever its law
     if _clearly_pulled(p, data, sure):
         pulled = _pulled(SpeedChange(0.05, 3.5, 0.1), data, sure)
         other = _likeliest(data, pulled)
@@ -325,8 +315,7 @@ def refit(p: SpeedChange, data: Observations, free: BoolArray, braking: BoolArra
         noise = np.sort((np.abs(free_residual(p, data)) / data.speed)[free])
         # The draws of uniform noise end where the next one is further away than chance explains (e⁻²⁰): what lies
         # beyond are ticks in which the car did something else.
-        inside = int(np.searchsorted(noise, p.speed_noise, side="right"))
-        inside = max(1, inside)
+        inside = max(1, int(np.searchsorted(noise, p.speed_noise, side="right")))
         while inside < noise.size and noise[inside] - noise[inside - 1] <= _APART * noise[inside - 1] / inside:
             inside += 1
         p = p._replace(speed_noise=float(noise[inside - 1] * (1.0 + 1e-12)))

@@ -93,14 +93,9 @@ def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
         raise UsageError(f"{path}: has no moving object in ground truth of OSI")
     if len(set(roles.values())) < len(roles):  # two that say they are the same
         roles = {number: str(number) for number in roles}
-    found = []
+    found, form = [], "moving object"
     for number, states in rows.items():
-        name, form, where, times = (
-            roles[number],
-            "moving object",
-            f"{path}, {roles[number]}",
-            [one[0] for one in states],
-        )
+        name, where, times = roles[number], f"{path}, {roles[number]}", [one[0] for one in states]
         given = states, where, name, kinds[number], form
         found.append(track_or_why(where, name, form, Track.of_rows, *given, times=times))
     return found
@@ -177,22 +172,16 @@ def write_osi(path: Path, recorded: ExportedEpisode) -> None:
     """
     version, protobuf = ".".join(map(str, _version())), _protobuf()
     about = {
-        "version": version,
-        "min_osi_version": version,
-        "max_osi_version": version,
-        "min_protobuf_version": protobuf,
-        "max_protobuf_version": protobuf,
+        **dict.fromkeys(("version", "min_osi_version", "max_osi_version"), version),
+        **dict.fromkeys(("min_protobuf_version", "max_protobuf_version"), protobuf),
         "zero_time": "1970-01-01T00:00:00Z",
         "creation_time": recorded.date,
         "description": recorded.title,
         "authors": "SKD",
         "data_sources": one_line(f"SKD, scenario {recorded.scenario.name}"),
     }
-    channel = {
-        "net.asam.osi.trace.channel.osi_version": version,
-        "net.asam.osi.trace.channel.protobuf_version": protobuf,
-        "net.asam.osi.trace.channel.description": "all road users and obstacles",
-    }
+    said = {"osi_version": version, "protobuf_version": protobuf, "description": "all road users and obstacles"}
+    channel = {f"net.asam.osi.trace.channel.{key}": value for key, value in said.items()}
     writer = osi_writer()()
     if not writer.open(path, about):
         raise OSError(f"{path}: cannot be written")
