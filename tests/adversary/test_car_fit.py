@@ -10,9 +10,7 @@ from recorded_cars import KAPPA, SCENARIO, LateCar, LimitedCar, MoodyCar, TimeTo
 from scipy import stats
 from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar
 from skd_adversary.car_models.fit import fit_with_law
-from skd_adversary.car_models.identifiability import (
-    half_width_estimate,
-)
+from skd_adversary.car_models.identifiability import half_width_estimate
 from skd_adversary.car_models.laws import Family, Law, integral_transform, kolmogorov_smirnov
 from skd_adversary.car_models.observations import RecordedEpisode, observe
 from skd_adversary.car_models.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution

@@ -11,13 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_adversary.crossing import road_users
-from skd_adversary.crossing.road_users import (
-    BRAKE_LEFT,
-    BRAKE_RIGHT,
-    CYCLIST,
-    LEFT,
-    RIGHT,
-)
+from skd_adversary.crossing.road_users import BRAKE_LEFT, BRAKE_RIGHT, CYCLIST, LEFT, RIGHT
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.options.adversary import Objective

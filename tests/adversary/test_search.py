@@ -268,13 +268,7 @@ MODELS = {
     "both": replace(RING, name="test_search_ring_both", leaf_value=ring_value, legal=ring_legal, discount=0.8),
 }
 SMALL = PlannerOptions(
-    simulations=150,
-    depth=6,
-    exploration=8.0,
-    particles=40,
-    backup=Backup.BEST,
-    cells=Cells.NEAREST,
-    keep_tree=True,
+    simulations=150, depth=6, exploration=8.0, particles=40, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
 )
 
 

@@ -14,14 +14,7 @@ from skd_evaluator.metrics.deviation import deviation
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import Trajectory
-from wide_scenarios import (
-    ALONG_THE_ROAD,
-    EARLIER_OR_LATER,
-    PACES,
-    Manner,
-    outcomes,
-    scenarios,
-)
+from wide_scenarios import ALONG_THE_ROAD, EARLIER_OR_LATER, PACES, Manner, outcomes, scenarios
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.column_stack([np.linspace(-3.5, 2.5, 9), np.zeros(9)]), CROSSING.time_step, "across")

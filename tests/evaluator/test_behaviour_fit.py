@@ -20,12 +20,7 @@ from skd_evaluator.metrics.behaviour.model import (
     normals_of,
     walked,
 )
-from skd_evaluator.risk.behaviour.fit import (
-    FITTED,
-    fit_behaviour,
-    inverted,
-    simulated,
-)
+from skd_evaluator.risk.behaviour.fit import FITTED, fit_behaviour, inverted, simulated
 from skd_evaluator.risk.behaviour.tracks import read_tracks
 from skd_sim.errors import UsageError
 

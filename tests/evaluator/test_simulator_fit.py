@@ -13,14 +13,7 @@ from common import run_skd
 from report_support import edited
 from scipy import stats
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.extensions.fusion.calibration import (
-    Recorded,
-    ReplayedDrive,
-    calibrated,
-    estimated,
-    off_by,
-    recorded,
-)
+from skd_evaluator.extensions.fusion.calibration import Recorded, ReplayedDrive, calibrated, estimated, off_by, recorded
 from skd_evaluator.metrics.surrogate_scenes import Interaction
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario

@@ -149,8 +149,7 @@ def test_the_same_way_comes_in_once(tmp_path: Path, skd_here):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
-    [("<Other/>", "its root is 'Other'"), ("<OpenSCENARIO><a>", "not XML that SKD reads")],
+    ("text", "says"), [("<Other/>", "its root is 'Other'"), ("<OpenSCENARIO><a>", "not XML that SKD reads")]
 )
 def test_files_of_no_scenario(tmp_path: Path, text: str, says: str):
     (tmp_path / "a.xosc").write_text(text)

@@ -19,9 +19,5 @@ setup(
     zip_safe=False,
     description="The adversary of the Safe-Kamikaze Distance",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "adversary = skd_sim.start:adversary",
-        ]
-    },
+    entry_points={"console_scripts": ["adversary = skd_sim.start:adversary"]},
 )

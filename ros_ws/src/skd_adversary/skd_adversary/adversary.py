@@ -16,12 +16,7 @@ from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
 from skd_sim.world.state import CarState, Trajectory
 
 from skd_adversary.car_models.car_model_file import fitted_car
-from skd_adversary.crossing.cars import (
-    CarModel,
-    LearnedCar,
-    known_basic_car,
-    unknown_car,
-)
+from skd_adversary.crossing.cars import CarModel, LearnedCar, known_basic_car, unknown_car
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, CarPrediction
 from skd_adversary.crossing.model import compose, road_user_parts
 from skd_adversary.crossing.objectives import SAFE, objective_named

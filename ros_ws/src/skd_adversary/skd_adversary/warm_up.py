@@ -33,11 +33,7 @@ def any_car_models() -> list[str]:
 
 
 def warm_up_episodes(
-    controller: str = DEFAULT,
-    *,
-    objective: Objective = Objective.PAPER,
-    car_model: str = "",
-    dynamics: str = BASIC,
+    controller: str = DEFAULT, *, objective: Objective = Objective.PAPER, car_model: str = "", dynamics: str = BASIC
 ) -> list[EpisodeSpec]:
     """Return a safe and a kamikaze episode with a tiny budget.
 

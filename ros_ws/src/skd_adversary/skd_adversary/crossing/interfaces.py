@@ -68,12 +68,7 @@ AS_PHI: Final = _NO_NUMBER
 of the `possible` comes nearest to that."""
 
 SEARCH: Final = PlannerOptions(
-    simulations=1000,
-    depth=25,
-    particles=300,
-    backup=Backup.BEST,
-    cells=Cells.NEAREST,
-    keep_tree=True,
+    simulations=1000, depth=25, particles=300, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
 )
 """Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
 hit is a matter of one good action at the right time, which a mean over all actions hides: docs/decisions.md (1)."""

@@ -50,15 +50,7 @@ from skd_adversary.crossing.interfaces import (
     within,
 )
 from skd_adversary.crossing.path import first_row, next_row, polyline_distance, polyline_segments
-from skd_adversary.crossing.road_users import (
-    DIRECTION_EAST,
-    EAST,
-    NORTH,
-    NORTH_EAST,
-    SOUTH,
-    SOUTH_EAST,
-    STAY,
-)
+from skd_adversary.crossing.road_users import DIRECTION_EAST, EAST, NORTH, NORTH_EAST, SOUTH, SOUTH_EAST, STAY
 
 
 def objective_named(name: str) -> ObjectiveModel:

@@ -67,11 +67,7 @@ def _reweigh(
 
 @template(inline=False, allocates=False)
 def _redraw(
-    parameters: Any,
-    particles: FloatArray,
-    observation: FloatArray,
-    redrawn: FloatArray,
-    rng: np.random.Generator,
+    parameters: Any, particles: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
     for i in range(particles.shape[0]):
         _reinvigorate(parameters, particles[i], observation, redrawn[i], rng)

@@ -352,12 +352,7 @@ def profile_of(
 
 @template
 def add_reference(
-    parameters: Any,
-    tree: SearchTree,
-    node: int,
-    action: int,
-    state: FloatArray,
-    observation: FloatArray,
+    parameters: Any, tree: SearchTree, node: int, action: int, state: FloatArray, observation: FloatArray
 ) -> None:
     """Make a state one of an action's references, for the children that there are, too; `observation` is scratch."""
     known = tree.basis[node, action, KNOWN]

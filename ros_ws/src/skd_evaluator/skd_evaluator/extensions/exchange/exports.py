@@ -14,13 +14,7 @@ from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
 from skd_evaluator.extensions.exchange.osi import osi_name, write_osi
-from skd_evaluator.extensions.exchange.scene import (
-    ADVERSARY,
-    EGO,
-    ExportedEpisode,
-    actors_of,
-    start_of,
-)
+from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpisode, actors_of, start_of
 from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
 from skd_evaluator.report.html.subjects import Subject
