@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from citr_lookalike import LookAlike, Walk
 from skd_adversary.safe_trajectories.citr import Clip, read_clips, select, touches_cart
-from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario
@@ -68,15 +67,6 @@ def test_contact_with_the_recorded_cart(tmp_path: Path, margin: float, touches: 
     (clip,) = read_clips(tmp_path)
     assert touches_cart(clip, clip.tracks[0], radius) is touches
     assert len(read_citr(tmp_path, SCENARIO)) == (0 if touches else 1)
-
-
-def test_choice_is_spread_and_repeatable(tmp_path: Path) -> None:
-    for number in (1, 2):
-        walks = [Walk(drift=0.01 * number, sway=0.2 + 0.01 * i, north=-i) for i in range(5)]
-        LookAlike(name=f"unidirection_yeild_{number:02d}", walks=walks).write(tmp_path)
-    names = [[t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 4)] for _ in range(2)]
-    assert names[0] == names[1] == ["yeild_01/1", "yeild_01/4", "yeild_02/2", "yeild_02/5"]
-    assert len({t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 10)}) == 10
 
 
 PED, VEH = "unidirection_yeild_01_traj_ped_filtered.csv", "unidirection_yeild_01_traj_veh_filtered.csv"

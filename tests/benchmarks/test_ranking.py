@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cars.catalogue import CARS
 from contacts import run_of
-from pair_orders import Pair, ordered_share, safer_of
+from pair_orders import safer_of
 from ranking_figures import FIGURES, Work
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -53,22 +53,6 @@ def test_of_two_cars_the_one_is_safer_that_a_sign_test_says_so_of():
     none, five, six = (np.array([True] * hits + [False] * (20 - hits)) for hits in (0, 5, 6))
     assert (safer_of(none, six), safer_of(six, none), safer_of(none, five), safer_of(six, six)) == (0, 1, -1, -1)
     assert safer_of(six, np.roll(six, 6)) == -1
-
-
-def test_the_interval_over_cars_is_wider_than_one_over_pairs_where_one_car_is_wrong():
-    """Twenty cars in order but for the last one, which is wrong in all of its 19 pairs of 190."""
-    pairs = [Pair(one, other) for one in range(20) for other in range(one + 1, 20)]
-    figure = {car: 20.0 - car for car in range(19)} | {19: 100.0}
-    share = ordered_share(pairs, figure, +1)
-    assert share.right == 171
-    assert share.interval is not None
-    low, high = share.interval
-    over_pairs = np.quantile(np.random.default_rng(0).binomial(190, 0.9, 10_000) / 190, [0.025, 0.975])
-    assert low < over_pairs[0]
-    assert high > over_pairs[1]
-    # The wrong car is drawn Poisson(1) times nearly: with none of it, in 36 % of the draws, all is right.
-    assert high == 1.0
-    assert share.interval == ordered_share(pairs, figure, +1).interval
 
 
 @pytest.mark.parametrize("car", [CARS[0], OFTEN], ids=lambda car: car.label)

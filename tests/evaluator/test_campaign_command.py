@@ -114,20 +114,6 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
     assert figures(here / "out" / "basic-C0.75") == figures(here / "basic-C0.75")
 
 
-def test_planned_figures_of_unlike_adversary_models_are_not_ranked(here, skd_here, monkeypatch):
-    monkeypatch.syspath_prepend(here)
-    write(here, "cars: [{controller: my_cars:Fine, adversary_model: generic}, {controller: basic}]", margin_limit=20)
-    done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
-    assert done.returncode == 0, done.stderr
-    adversary_model = [row["adversary_model"] for row in campaign(here)["cells"]]
-    assert adversary_model[1] == "exact" != adversary_model[0]
-    (line,) = [line for line in done.stderr.splitlines() if "planned figures" in line]
-    assert f"adversary model {adversary_model[0]} and exact" in line
-    head = "".join(done.stdout.splitlines()[1:3])
-    assert head.index("margin") < head.index("planned")
-    assert "generic" in done.stdout or "learned" in done.stdout
-
-
 def test_what_would_be_run_is_said_without_running_it(here, skd_here):
     write(here, TWO, curve=True)
     done = skd_here("campaign", "campaign.yaml", "--dry-run", "--json")

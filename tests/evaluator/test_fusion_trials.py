@@ -288,21 +288,3 @@ def test_options_that_do_not_fit_the_bags(simulated, trials, tmp_path, capsys, w
     assert run_skd("fuse", simulated, trials, *words, "--out", tmp_path / "out") == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_tables_alone_are_enough(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    rng, lines, every = np.random.default_rng(0), ["phi,clearance"], ["phi,clearance"]
-    for index in range(60):
-        value = 1.0 + rng.random()
-        every.append(f"w{index},{value}")
-        if index < 10:
-            lines.append(f"w{index},{value - 0.3 + 0.1 * rng.standard_normal()}")
-    (tmp_path / "real.csv").write_text("\n".join(lines), encoding="utf-8")
-    (tmp_path / "simulated.csv").write_text("\n".join(every), encoding="utf-8")
-    words = (tmp_path / "simulated.csv", tmp_path / "real.csv", "--out", tmp_path / "out", "--json")
-    assert run_skd("fuse", *words) == 0
-    figure = json.loads(capsys.readouterr().out)["figures"]["clearance"]
-    assert figure["predicts"]
-    assert figure["interval"][0] < 1.2 < figure["interval"][1]
-    assert figure["gap"]["mean"] == pytest.approx(-0.3, abs=0.1)
-    assert "the timing of physical trials is not known: pairs are of the same φ alone" in figure["notes"]
