@@ -39,13 +39,22 @@ _gives_number: Callable[..., float] = unbound
 _gives_pair: Callable[..., Pair] = unbound
 _gives_truth: Callable[..., bool] = unbound
 
-# The interfaces: kernels that templates call, each described by the class of its part, by what they return
-start_road_user = settle = start_car = advance_car = resume_car = redraw_policy = place_car = begin = _acts
-velocity = possible = moving = next_velocity = next_possible = chosen = _gives_pair
-on_road = velocity_on_road = from_car = last_changes = _gives_pair
-pointing = touch = at_distance = contact = expected_acceleration = _gives_number
-left_behind = sensible = _gives_truth
+# Interfaces of the road user: see `RoadUserKernels`
+start_road_user = settle = _acts
+velocity = possible = moving = next_velocity = next_possible = _gives_pair
+pointing = touch = _gives_number
 steer: Callable[..., int] = unbound
+# of the predicted car and of the sensor: see `CarKernels`, `SensorModel`
+start_car = advance_car = resume_car = redraw_policy = place_car = _acts
+expected_acceleration = _gives_number
+last_changes = _gives_pair
+# of the road: see `RoadKernels`
+on_road = velocity_on_road = from_car = _gives_pair
+at_distance = contact = _gives_number
+left_behind = _gives_truth
+# of the objective: see `ObjectiveModel`
+begin, chosen, sensible = _acts, _gives_pair, _gives_truth
+
 move = _gives_number
 """Of all parts together (`model`): (parameters, state, vx, vy, next_state_out, rng) → share of the step at which
 adversary and car touch, else infinity; it writes both into the next state."""
