@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -70,7 +71,7 @@ def test_lanelets_lead_the_way_their_lanes_do():
     """Left of its own way is its left bound, for those of oncoming traffic too."""
     for name in scenarios():
         one = recorded(name, whole_ticks=True)
-        root = commonroad(one)
+        root = ElementTree.fromstring(commonroad(one).encode())
         numbers = sorted(one.scenario.road.every_lane)
         for number, lanelet in zip(numbers, root.findall("lanelet"), strict=True):
             bounds = [

@@ -115,7 +115,7 @@ def points_of(road: ElementTree.Element, spacing: float = 0.1) -> np.ndarray:
 def test_the_lanes_of_the_road_are_those_of_the_scenario(name: str):
     """Edges from lane offset and widths, as OpenDRIVE counts them, against the scenario's own; in metres."""
     one = recorded(name)
-    scenario, root = one.scenario, opendrive(one.scenario, [one])
+    scenario, root = one.scenario, ElementTree.fromstring(opendrive([one]).encode())
     roads = root.findall("road")
     elsewhere = [number for number, lane in scenario.road.every_lane.items() if not lane.beside]
     assert len(roads) == 1 + len(elsewhere)

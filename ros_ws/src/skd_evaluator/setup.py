@@ -12,6 +12,7 @@ setup(
         PACKAGE: [
             "__init__.pyi",
             "py.typed",
+            "extensions/exchange/templates/*",
             "extensions/ncap/templates/*",
             "report/html/templates/*",
             "metrics/behaviour/walkers.yaml",

@@ -45,8 +45,10 @@ def warm_up_episodes(
     """
     scenario = load_scenario(DYNAMICS[dynamics].scenario)
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)
-    safe = EpisodeSpec(scenario, Mode.SAFE, 0, 0, simulations=10)
-    kamikaze = replace(safe, mode=Mode.KAMIKAZE, controller=controller, safe_trajectory=across, objective=objective)
+    few = {"simulations": 10}
+    safe = EpisodeSpec(scenario, Mode.SAFE, 0, 0, **few)
+    chosen = {"controller": controller, "objective": objective, "safe_trajectory": across}
+    kamikaze = EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, **chosen, **few)
     if not car_model:
         return [safe, kamikaze]
     learned = {"controller": controller, "car_model": car_model, "adversary_model": None}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import jinja2
@@ -27,11 +28,12 @@ class Section(NamedTuple):
 
 def filled(package: str, name: str, **values: object) -> str:
     """Return a template of a package with values put in: they are escaped, and all that it names has to be there."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader(package),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    return _environment(package).get_template(name).render(**values)
+
+
+@functools.cache
+def _environment(package: str) -> jinja2.Environment:
+    loader = jinja2.PackageLoader(package)
+    return jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    return environment.get_template(name).render(**values)
