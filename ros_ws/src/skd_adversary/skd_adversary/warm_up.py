@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from skd_sim.options.adversary import Objective
@@ -45,11 +46,10 @@ def warm_up_episodes(
     """
     scenario = load_scenario(DYNAMICS[dynamics].scenario)
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)
-    few = {"simulations": 10}
-    safe = EpisodeSpec(scenario, Mode.SAFE, 0, 0, **few)
-    chosen = {"controller": controller, "objective": objective, "safe_trajectory": across}
-    kamikaze = EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, **chosen, **few)
+    safe = EpisodeSpec(scenario, Mode.SAFE, 0, 0, simulations=10)
+    chosen: dict[str, Any] = {"controller": controller, "objective": objective, "safe_trajectory": across}
+    kamikaze = EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, simulations=10, **chosen)
     if not car_model:
         return [safe, kamikaze]
-    learned = {"controller": controller, "car_model": car_model, "adversary_model": None}
+    learned: dict[str, Any] = {"controller": controller, "car_model": car_model, "adversary_model": None}
     return [safe, replace(safe, **learned), replace(kamikaze, **learned)]

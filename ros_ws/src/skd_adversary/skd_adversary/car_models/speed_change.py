@@ -165,7 +165,7 @@ def _refine_noise(p: SpeedChange, data: Observations) -> SpeedChange:
         return int(np.argmax([_mixture(one, 1, p.weights)[0] for one in every]))
 
     def spread(noises: FloatArray, count: int) -> FloatArray:
-        return noises[np.unique(np.linspace(0, noises.size - 1, count).round().astype(int))]
+        return np.asarray(noises[np.unique(np.linspace(0, noises.size - 1, count).round().astype(int))])
 
     candidates = np.unique(np.append(spread(near, 30), near[-20:])) * (1.0 + 1e-12)
     top = likeliest(candidates)

@@ -197,33 +197,35 @@ def write_osi(path: Path, recorded: ExportedEpisode) -> None:
 
 def ground_truth(recorded: ExportedEpisode) -> list[Any]:
     """Return the messages of an episode, in the order of their times."""
-    kind = _ground_truth()
-    standing = kind()
-    standing.version.version_major, standing.version.version_minor, standing.version.version_patch = _version()
-    standing.map_reference = ROAD_FILE
+    kind, parsed = _ground_truth(), _found("google.protobuf.json_format").ParseDict
+    lanes, boundaries = _lanes(recorded)
+    standing = {
+        "version": dict(zip(("version_major", "version_minor", "version_patch"), _version(), strict=True)),
+        "map_reference": ROAD_FILE,
+        "lane": lanes,
+        "lane_boundary": boundaries,
+        "stationary_object": [
+            {
+                **_object(one, *one.centres[0].tolist(), float(one.states[0, 2])),
+                "classification": {"type": "TYPE_OTHER"},
+            }
+            for one in recorded.actors
+            if one.is_obstacle
+        ],
+    }
     if recorded.ego is not None:
-        standing.host_vehicle_id.value = EGO_ID
-    _add_lanes(standing, recorded)
-    for actor in recorded.actors:
-        if actor.is_obstacle:
-            found = standing.stationary_object.add()
-            found.id.value = actor.number
-            found.classification.type = found.classification.TYPE_OTHER
-            x, y = actor.centres[0].tolist()
-            _set_base(found.base, actor, x, y, float(actor.states[0, 2]))
-            _say_role(found, actor)
+        standing["host_vehicle_id"] = {"value": EGO_ID}
+    always = parsed(standing, kind())
     users = [one for one in recorded.actors if not one.is_obstacle]
     times = max((one.times for one in users), key=len)
     every = [(one, *_motion(one, times)) for one in users]
     messages = []
     for row, time in enumerate(times.tolist()):
         message = kind()
-        message.CopyFrom(standing)
-        nanoseconds = round(time * 1e9)
-        message.timestamp.seconds, message.timestamp.nanos = divmod(nanoseconds, 1_000_000_000)
-        for actor, states, motion in every:
-            _add_user(message, actor, states[row], motion[row])
-        messages.append(message)
+        message.CopyFrom(always)
+        message.timestamp.seconds, message.timestamp.nanos = divmod(round(time * 1e9), 1_000_000_000)
+        moving = [_user(actor, states[row].tolist(), motion[row].tolist()) for actor, states, motion in every]
+        messages.append(parsed({"moving_object": moving}, message))
     return messages
 
 
@@ -243,70 +245,63 @@ def _motion(actor: Actor, times: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.column_stack([actor.centres, heading]), np.column_stack([velocity, change])
 
 
-def _add_user(message: Any, actor: Actor, state: FloatArray, motion: FloatArray) -> None:
-    found = message.moving_object.add()
-    found.id.value = actor.number
-    x, y, heading = state.tolist()
-    _set_base(found.base, actor, x, y, heading)
-    _set(found.base.velocity, *motion[:2].tolist(), 0.0)
-    _set(found.base.acceleration, *motion[2:4].tolist(), 0.0)
-    _set(found.base.orientation_rate, 0.0, 0.0, float(motion[4]), names=_TURNS)
-    word = actor.word(_FORMAT)
+def _user(actor: Actor, state: Sequence[float], motion: Sequence[float]) -> dict[str, Any]:
+    """Return a moving object by rows of `_motion`."""
+    found = _object(actor, *state)
+    found["base"]["velocity"] = _vector(*motion[:2], 0.0)
+    found["base"]["acceleration"] = _vector(*motion[2:4], 0.0)
+    found["base"]["orientation_rate"] = _vector(0.0, 0.0, motion[4], names=_TURNS)
+    word, (length, _, height), wheel = actor.word(_FORMAT), actor.size, 0.3
     if word == _ON_FOOT:
-        found.type = found.TYPE_PEDESTRIAN
-    else:
-        found.type, wheel, (length, _, height) = found.TYPE_VEHICLE, 0.3, actor.size
-        found.vehicle_classification.type = found.vehicle_classification.Type.Value(word)
-        _set(found.vehicle_attributes.bbcenter_to_rear, -0.3 * length, 0.0, wheel - 0.5 * height)
-        found.vehicle_attributes.radius_wheel = wheel
-    _say_role(found, actor)
+        return {**found, "type": "TYPE_PEDESTRIAN"}
+    rear = _vector(-0.3 * length, 0.0, wheel - 0.5 * height)
+    return {
+        **found,
+        "type": "TYPE_VEHICLE",
+        "vehicle_classification": {"type": word},
+        "vehicle_attributes": {"bbcenter_to_rear": rear, "radius_wheel": wheel},
+    }
 
 
 _TURNS = "roll", "pitch", "yaw"
 
 
-def _set(vector: Any, *values: float, names: Sequence[str] = "xyz") -> None:
-    """Set the fields of a vector."""
-    for name, value in zip(names, values, strict=True):
-        setattr(vector, name, value)
+def _vector(*values: float, names: Sequence[str] = "xyz") -> dict[str, float]:
+    return dict(zip(names, values, strict=True))
 
 
-def _set_base(base: Any, actor: Actor, x: float, y: float, heading: float) -> None:
-    _set(base.dimension, *actor.size, names=("length", "width", "height"))
-    _set(base.position, x, y, 0.5 * actor.size[2])
-    _set(base.orientation, 0.0, 0.0, math.remainder(heading, math.tau), names=_TURNS)
+def _object(actor: Actor, x: float, y: float, heading: float) -> dict[str, Any]:
+    """Return what moving and stationary objects have in common."""
+    base = {
+        "dimension": _vector(*actor.size, names=("length", "width", "height")),
+        "position": _vector(x, y, 0.5 * actor.size[2]),
+        "orientation": _vector(0.0, 0.0, math.remainder(heading, math.tau), names=_TURNS),
+    }
+    role = [actor.name] if actor.body is None else [actor.name, actor.body.kind]
+    return {"id": {"value": actor.number}, "base": base, "source_reference": [{"type": SOURCE, "identifier": role}]}
 
 
-def _say_role(found: Any, actor: Actor) -> None:
-    said = found.source_reference.add()
-    said.type = SOURCE
-    said.identifier.append(actor.name)
-    if actor.body is not None:
-        said.identifier.append(actor.body.kind)
-
-
-def _add_lanes(message: Any, recorded: ExportedEpisode) -> None:
-    """Add the lanes, each between two boundaries of its own, as long as the episode needs them."""
-    every = lanes_of(recorded)
-    ids = {lane.number: _FIRST_LANE + index for index, lane in enumerate(every)}
+def _lanes(recorded: ExportedEpisode) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the lanes, each between two boundaries of its own, and these, as long as the episode needs them."""
+    every, lanes, boundaries = lanes_of(recorded), [], []
+    ids = {lane.number: {"value": _FIRST_LANE + index} for index, lane in enumerate(every)}
     for index, lane in enumerate(every):
-        found = message.lane.add()
-        found.id.value = ids[lane.number]
-        said = found.classification
-        said.type, said.subtype = said.TYPE_DRIVING, said.SUBTYPE_NORMAL
-        said.is_host_vehicle_lane, said.centerline_is_driving_direction = lane.number == 0, True
-        for x, y in (0.5 * (lane.left + lane.right)).tolist():
-            said.centerline.add(x=x, y=y, z=0.0)
-        sides = (lane.left, said.left_lane_boundary_id), (lane.right, said.right_lane_boundary_id)
-        for place, (edge, edge_ids) in enumerate(sides):
-            boundary = message.lane_boundary.add()
-            boundary.id.value = _FIRST_BOUNDARY + 2 * index + place
-            edge_ids.add().value = boundary.id.value
-            boundary.classification.type = boundary.classification.TYPE_SOLID_LINE
-            boundary.classification.color = boundary.classification.COLOR_WHITE
-            for x, y in edge.tolist():
-                _set(boundary.boundary_line.add().position, x, y, 0.0)
-        adjacent = said.left_adjacent_lane_id, said.right_adjacent_lane_id
-        for other, those in zip(lane.beside, adjacent, strict=True):
-            if other is not None:
-                those.add().value = ids[other]
+        own = [{"value": _FIRST_BOUNDARY + 2 * index + place} for place in (0, 1)]
+        left, right = lane.beside
+        classification = {
+            "type": "TYPE_DRIVING",
+            "subtype": "SUBTYPE_NORMAL",
+            "is_host_vehicle_lane": lane.number == 0,
+            "centerline_is_driving_direction": True,
+            "centerline": [_vector(x, y, 0.0) for x, y in (0.5 * (lane.left + lane.right)).tolist()],
+            "left_lane_boundary_id": own[:1],
+            "right_lane_boundary_id": own[1:],
+            "left_adjacent_lane_id": [] if left is None else [ids[left]],
+            "right_adjacent_lane_id": [] if right is None else [ids[right]],
+        }
+        lanes.append({"id": ids[lane.number], "classification": classification})
+        line = {"type": "TYPE_SOLID_LINE", "color": "COLOR_WHITE"}
+        for id_, edge in zip(own, (lane.left, lane.right), strict=True):
+            points = [{"position": _vector(x, y, 0.0)} for x, y in edge.tolist()]
+            boundaries.append({"id": id_, "classification": line, "boundary_line": points})
+    return lanes, boundaries
