@@ -9,7 +9,7 @@ import pytest
 from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.evaluation import requested_tests, scenario_of
 from skd_evaluator.extensions.ncap.layout import layout_of, margin_text
-from skd_evaluator.extensions.ncap.matrices import Criterion, colour_of, known_scenarios, matrix_of, scenarios_of
+from skd_evaluator.extensions.ncap.matrices import known_scenarios, matrix_of, scenarios_of
 from skd_evaluator.extensions.ncap.result import RESULT, Grid, Ncap, NcapCell, as_data, read_ncap, with_regulator
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
@@ -125,15 +125,3 @@ def test_every_test_of_the_matrices_can_be_had():
             assert scenario.car.start_speed == pytest.approx(cell.speed * KMH)
             (one,) = static_tests(scenario, CarUnderTest("basic", 0.0))
             assert (one.touched, one.impact_speed) == (True, pytest.approx(cell.speed * KMH))
-
-
-@pytest.mark.parametrize(("speed", "colours"), [(20, "gr"), (30, "gbr"), (40, "gobr"), (50, "gyobr"), (60, "gyobr")])
-def test_colours_change_every_ten_kmh_down_to_green(speed, colours):
-    """What docs/campaigns.md says of 2026: the faster the test, the more a lower impact speed is worth."""
-    values = [0.0, *(10.0 * step + 5.0 for step in range(6))]
-    found = [colour_of(Criterion.RELATIVE, float(speed), value)[0] for value in values]
-    assert "".join(dict.fromkeys(found)) == colours
-    assert colour_of(Criterion.IMPACT, float(speed), 0.1) == "red"
-    assert [colour_of(Criterion.REDUCTION, 50.0, value) for value in (10.0, 20.0, 30.0, 30.1)] == [
-        "red", "orange", "green", "red",
-    ]  # fmt: skip

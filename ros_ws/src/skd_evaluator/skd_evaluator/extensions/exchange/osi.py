@@ -206,7 +206,7 @@ def ground_truth(recorded: ExportedEpisode) -> list[Any]:
         "lane_boundary": boundaries,
         "stationary_object": [
             {
-                **_object(one, *one.centres[0].tolist(), float(one.states[0, 2])),
+                **_object(one, one.centres[0], float(one.states[0, 2])),
                 "classification": {"type": "TYPE_OTHER"},
             }
             for one in recorded.actors
@@ -247,7 +247,7 @@ def _motion(actor: Actor, times: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _user(actor: Actor, state: Sequence[float], motion: Sequence[float]) -> dict[str, Any]:
     """Return a moving object by rows of `_motion`."""
-    found = _object(actor, *state)
+    found = _object(actor, state[:2], state[2])
     found["base"]["velocity"] = _vector(*motion[:2], 0.0)
     found["base"]["acceleration"] = _vector(*motion[2:4], 0.0)
     found["base"]["orientation_rate"] = _vector(0.0, 0.0, motion[4], names=_TURNS)
@@ -270,11 +270,11 @@ def _vector(*values: float, names: Sequence[str] = "xyz") -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def _object(actor: Actor, x: float, y: float, heading: float) -> dict[str, Any]:
+def _object(actor: Actor, centre: Sequence[float] | FloatArray, heading: float) -> dict[str, Any]:
     """Return what moving and stationary objects have in common."""
     base = {
         "dimension": _vector(*actor.size, names=("length", "width", "height")),
-        "position": _vector(x, y, 0.5 * actor.size[2]),
+        "position": _vector(float(centre[0]), float(centre[1]), 0.5 * actor.size[2]),
         "orientation": _vector(0.0, 0.0, math.remainder(heading, math.tau), names=_TURNS),
     }
     role = [actor.name] if actor.body is None else [actor.name, actor.body.kind]
