@@ -128,5 +128,5 @@ def test_what_of_a_folder_is_not_used_is_said(tmp_path, caplog):
 def test_one_way_in_two_files_of_a_folder_is_no_two_ways(tmp_path):
     for name in "ab":
         (tmp_path / f"{name}.csv").write_text("t,x,y\n0,-3,0\n3,3,0\n")
-    with pytest.raises(UsageError, match=r"b\.csv: is the way of .*a\.csv once more"):
+    with pytest.raises(UsageError, match=r"b\.csv: is the trajectory of .*a\.csv once more"):
         load_safe_trajectories(tmp_path, load_scenario("crossing"), 2)

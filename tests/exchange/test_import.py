@@ -137,10 +137,10 @@ def test_the_same_way_comes_in_once(tmp_path: Path, skd_here):
     content = json.loads(done.stdout)
     assert [one["source"] for one in content["files"]] == ["first.csv", "finer.csv"]
     (one,) = content["left_out"]
-    assert (one["source"], one["why"].split(",")[0]) == ("second.csv", "is the way of first.csv once more")
+    assert (one["source"], one["why"].split(",")[0]) == ("second.csv", "is the trajectory of first.csv once more")
     done = skd_here("import", *files, "--scenario", "crossing", "--out", "b")  # at its ticks all three are the same
     assert sorted(path.name for path in (tmp_path / "b" / "safe").iterdir()) == ["first.csv"]
-    assert done.stderr.count("left out: is the way of first.csv once more") == 2
+    assert done.stderr.count("left out: is the trajectory of first.csv once more") == 2
     assert "--safe-count 1 " in done.stdout
     assert len(load_safe_trajectories(tmp_path / "b" / "safe", load_scenario("crossing"), 1)) == 1
 

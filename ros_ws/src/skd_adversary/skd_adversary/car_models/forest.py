@@ -28,7 +28,7 @@ FEATURES: Final = (
 )  # fmt: skip
 """What a split may ask; *before* is of the tick before, times are cut at 8 s, and a change is of the car's speed."""
 TICK: Final = ("gap", "lateral", "sideways", "receding", "speed", "change", "residual")
-"""What is kept of a tick: SI units; `residual` is the way that the car made beyond the mean of its two speeds, m."""
+"""What is kept of a tick: SI units; `residual` is how far the car drove beyond the mean of its two speeds, m."""
 
 GRID: Final = 128.0
 """Places (m) and speeds (m/s) are resolved to one part in this many: 8 mm."""

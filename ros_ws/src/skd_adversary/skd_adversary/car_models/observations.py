@@ -45,7 +45,7 @@ class Observations:
         speed_after: speed of the car one tick later, m/s.
         walking_away: the adversary's velocity along the lane in the tick itself, m/s.
         walking_sideways: the adversary's velocity across the lane in the tick itself, m/s.
-        travelled: way of the car in the tick, m.
+        travelled: distance that the car drove in the tick, m.
         time_step: duration of a tick, s.
         front: front bumper ahead of the car's reference point, m.
         rear: rear bumper behind it, m.

@@ -3,7 +3,7 @@
 Until φ's end it moves on, and to wait is to deviate; from then on waiting would be free, so each further step costs
 what the predicted car says (`waiting_reward`): a car that stops by a law will not come any more, one that creeps will.
 
-Only a hit by the moving car is rewarded (`Collision.hit_speed`): a touch slower than that ends the way like a miss.
+Only a hit by the moving car is rewarded (`Collision.hit_speed`): a touch slower than that ends the episode like a miss.
 
 The deviation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
 point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and

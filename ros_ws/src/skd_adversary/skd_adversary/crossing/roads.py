@@ -136,7 +136,7 @@ def _curved_at_distance(parameters: Any, x: float, y: float, distance: float, be
 def _curved_contact(
     parameters: Any, place: Pair, place_after: Pair, heading: float, car_s: float, car_s_after: float
 ) -> float:
-    """Interface `contact`: piece by piece, each a chord of the car's way."""
+    """Interface `contact`: piece by piece, each a chord of the car's path."""
     p = parameters
     x, y = place
     x_after, y_after = place_after

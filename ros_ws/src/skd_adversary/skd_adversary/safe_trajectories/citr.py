@@ -56,7 +56,7 @@ _VEHICLE_COLUMNS: Final = {**_KEYS, "x_est": 1e6, "y_est": 1e6, "psi_est": 1e6, 
 _LEAST_DRIVE: Final = 0.5
 """A cart that moved less, m, has no driving direction."""
 _OFF_STATED: Final = 0.35, 0.5
-"""Share by which a pedestrian's and the cart's way may differ from the stated velocities; the dataset's are 0.1 and
+"""Share by which a pedestrian's and the cart's track may differ from the stated velocities; the dataset's are 0.1 and
 0.36 off, the cart's filter being slow."""
 
 
@@ -166,7 +166,7 @@ def _tracks(path: Path, columns: Mapping[str, float], share: float) -> list[Clip
 
 
 def world_frame(clip: Clip, track: ClipTrack) -> FloatArray:
-    """Return a recorded walk in the world frame, as the cart's way has it (`in_car_frame`).
+    """Return a recorded walk in the world frame, as the cart's track has it (`in_car_frame`).
 
     Args:
         clip: the clip, which has the cart.

@@ -22,7 +22,7 @@ _LEAP: Final = 0.5
 _LEAST_LENGTH: Final = 2.0
 """m, from which on a path shows in which units and which direction it is."""
 _LEAST_POSITIONS: Final = 3
-"""Positions at the least by which a track is told from others."""
+"""Positions at the least by which tracks are compared."""
 _JITTER = 0.05
 """m that a sensor may be off from one row to the next: at many rows a second that is no speed."""
 
@@ -215,7 +215,7 @@ def repeated(paths: Sequence[FloatArray], *, moved: bool) -> Iterator[tuple[int,
 
 def duplicate_of(name: str) -> str:
     """Return what is said of the path that is that of `name` once more."""
-    return f"is the way of {name} once more, and would count as another person's"
+    return f"is the trajectory of {name} once more, and would count twice"
 
 
 class CarFrameTrack(NamedTuple):

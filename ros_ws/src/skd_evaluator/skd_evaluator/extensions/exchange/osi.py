@@ -2,7 +2,7 @@
 
 OSI's reference point of an object is the middle of its bounding box. Metadata of file and channel are those that the
 standard asks for or recommends ("OSI multi channel trace file format", OSI 3.8); so is the file's name. ASAM's own
-libraries, the optional extra `exchange`, are imported when OSI is asked for.
+libraries, the optional extra `exchange`, are imported when OSI is requested.
 """
 
 from __future__ import annotations

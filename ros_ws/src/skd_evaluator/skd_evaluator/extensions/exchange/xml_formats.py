@@ -4,7 +4,7 @@ OpenSCENARIO: road users on polylines with a time at each vertex. An entity's or
 bounding box says where the body is around it. Vertices are the states at ticks and that at the contact.
 
 OpenDRIVE: the reference line is the middle of the car's lane. A lane offset moves the lanes' zero to the left edge of
-those that go the car's way, so that these have ids −1, −2, … from left to right, and those to their left 1, 2, ….
+those that run as the car drives, so that these have ids −1, −2, … from left to right, and those to their left 1, 2, ….
 Lanes elsewhere are roads of their own, which cross the first without a junction.
 
 CommonRoad: states at whole ticks, so the last state of a kamikaze is that of the tick in which the contact was. An

@@ -237,7 +237,7 @@ Off = Callable[[Mapping[str, float]], list[FloatArray]]
 POOR = 0.3
 """m, root mean square, left between recorded and simulated places, above which nothing is said: it is another car."""
 _ALIKE = 0.97
-"""Cosine of two parameters' effects from which on they cannot be told apart."""
+"""Cosine of two parameters' effects from which on they are alike."""
 _FELT = 0.02
 """m, root mean square over all ticks: a parameter that moves cars less, where it changes much, is not felt."""
 _NEAR = 1e-4
@@ -339,7 +339,7 @@ def estimated(
     Args:
         off: gives recorded less simulated places.
         start: values of all parameters in the scenario.
-        free: names of those that may be estimated; where two are not told apart, the earlier is.
+        free: names of those that may be estimated; where two are alike, the earlier is.
         groups: number of each trial's φ.
         confidence: of the intervals.
 
@@ -493,7 +493,7 @@ class _Misfit:
 
 
 def _begun(misfit: _Misfit, start: dict[str, float], free: Sequence[str]) -> tuple[dict[str, float], dict[str, str]]:
-    """Return the values from which to go on, and why some limits are not told.
+    """Return the values from which to go on, and why some limits are not identified.
 
     Each limit is tried with every value of what is none, and the first is taken that explains the trials as well as
     any: a weak brake and a wet road look alike.

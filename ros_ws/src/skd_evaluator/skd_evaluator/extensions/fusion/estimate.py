@@ -22,7 +22,7 @@ simulated figures asks for (`rehearsed`), if that is further. Physical trials al
 
 How far an interval reaches: Student's quantile is right for normal figures. A clearance ends at 0 and has a long tail;
 a required deceleration is 0 on most φ and large on a few. Ten trials do not show such a shape, but thousands of
-simulated φ do. So the trials are rehearsed: n φ drawn by lot from the simulated ones, again and again, each time with
+simulated φ do. So the trials are rehearsed: n φ drawn at random from the simulated ones, each time with
 the estimate and its standard error. Where the quantiles of (estimate − truth)/error lie further out than those of the
 same draws of normal figures, the interval reaches as many times further: a bootstrap-t (B. Efron and R. J. Tibshirani,
 An Introduction to the Bootstrap, 1993, section 12.5) that draws from the simulator's φ and not from the few trials.
@@ -115,11 +115,11 @@ def _quantiles(shape: FloatArray, count: int, confidence: float, *, by_line: boo
         estimate, squared = _by_line(unknown, known)
     else:
         estimate, squared = unknown.mean(axis=1), unknown.var(axis=1, ddof=1) / count
-    told = known.var(axis=1, ddof=1) >= max(_NOTHING, least)
-    if int(told.sum()) < _LEAST // 2:
+    vary = known.var(axis=1, ddof=1) >= max(_NOTHING, least)
+    if int(vary.sum()) < _LEAST // 2:
         return -math.inf, math.inf
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.where(squared > _NOTHING, estimate / np.sqrt(squared), np.copysign(math.inf, estimate))[told]
+        off = np.where(squared > _NOTHING, estimate / np.sqrt(squared), np.copysign(math.inf, estimate))[vary]
     tail = 0.5 - confidence / 2.0
     low, high = np.quantile(off, [tail, 1.0 - tail], method="higher")
     return float(low), float(high)
@@ -141,7 +141,7 @@ LEAST_PAIRS = 5
 PREDICTS = 0.1
 """p-value of no positive slope (one-sided) below which the simulator predicts, and the fused interval stands."""
 SELDOM = 0.05
-"""Share of draws by lot of φ that are as much alike as those of which nothing is said."""
+"""Share of random samples of φ that are as much alike as those of which nothing is said."""
 _MOST_TRIALS = 10**7
 
 
@@ -269,14 +269,14 @@ def stand_for_all(x: FloatArray, population: FloatArray) -> bool:
     """Return whether the φ with trials vary as all φ do in what is simulated of them.
 
     Where a few φ decide a mean, such as those on which the car all but hits, trials on others lie close together and on
-    a line, and their interval is narrow and wrong. φ that were drawn by lot vary so little in one of twenty cases, by
+    a line, and their interval is narrow and wrong. a random sample varies so little in one of twenty cases, by
     the χ² distribution of a variance.
     """
     return float(np.var(x, ddof=1)) >= least_variance(x.size) * float(np.var(population, ddof=1))
 
 
 def least_variance(count: int) -> float:
-    """Return the share of the variance over all φ that so many φ drawn by lot have in all but `SELDOM` of the cases."""
+    """Return the share of the variance over all φ that random samples have, but for a share `SELDOM` of them."""
     freedom = count - 1.0
     return float(special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
 
