@@ -126,7 +126,7 @@ SMALL = (
 
 
 def test_a_car_that_keeps_something_is_not_credible(tmp_path: Path, safe: Path) -> None:
-    out, command = tmp_path / "out", shlex.join([*NODE, "controller:=remembering:Counting"])
+    out, command = tmp_path / "out", shlex.join([*NODE, "controller:=misbehaving:Counting"])
     car = ("--controller", "external", "--controller-command", command)
     done = skd("assess", "--graph", "--safe", safe, *SMALL, *car, "--out", out, environment=PATHS)
     found = json.loads((out / "assessment.json").read_text())["warnings"]

@@ -77,3 +77,16 @@ class NeverWell(BasicController):
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         self._tick += 1
         return math.nan if self._tick == TICK + 1 else super().command(car, adversary)
+
+
+class Counting(BasicController):
+    """Brakes in every other episode, whichever that is: it keeps something from one to the next."""
+
+    episodes = 0
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        super().reset(scenario, rng)
+        Counting.episodes += 1
+
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        return super().command(car, adversary) if Counting.episodes % 2 else 0.0

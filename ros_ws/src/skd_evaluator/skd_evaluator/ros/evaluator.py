@@ -63,6 +63,7 @@ from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message
+from skd_evaluator.driving.drive import Show
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_evaluator.ros.recording import SETTLE, BagRecorder, recorded_name
@@ -363,6 +364,10 @@ class Evaluator(GraphNode):
                 if self._composed is not None and self._recorder is not None:
                     name, data = recorded_name(self, EPISODE_RESULT), serialize_message(message)
                     self._recorder.keep(name, EpisodeResult, self._result[1], data)
+
+    def watch(self, show: Show, commands: CommandOptions) -> None:
+        """Call a function with each situation from now on; its commands are of the kind that the options say."""
+        self._figures.watch(show, commands)
 
     def give_up(self, reason: str) -> None:
         """Abort the running episode, whose end is not waited for; to be called while it waits."""

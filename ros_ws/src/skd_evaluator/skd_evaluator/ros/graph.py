@@ -79,6 +79,7 @@ def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iter
         nodes.append(evaluator)
         if watched is not None:
             nodes.append(stack.enter_context(watched.adversary(context)))
+            evaluator.watch(watched.show, options)
         managed = managed_nodes(options.lifecycle_nodes)
         reset = stack.enter_context(resetting(context, managed, options.startup_timeout, check_processes))
         evaluator.begin_campaign(

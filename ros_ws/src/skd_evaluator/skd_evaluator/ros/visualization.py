@@ -7,12 +7,15 @@ a node listens; a recording has both.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
-from skd_sim.options.options import MAP_FRAME
+from skd_sim.options.options import MAP_FRAME, CommandOptions
+from skd_sim.ros.commands import Quantity, car_commands
 from skd_sim.ros.state_publisher import CAR_HEIGHT
 from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM, Moments
 from skd_sim.ros.to_messages import to_orientation, to_stamp
@@ -20,13 +23,13 @@ from skd_sim.scenario.road import Road
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.timing import period_of, tick_stamp
+from skd_sim.world.timing import CommandAges, period_of, tick_stamp
 from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.run.assembly import Samples
-from skd_evaluator.driving.drive import Onlooker
+from skd_evaluator.driving.drive import Onlooker, Show
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.surrogate_measures import clearances
 from skd_evaluator.metrics.surrogate_scenes import course_of, scene_of
@@ -129,14 +132,32 @@ def episode_markers(episode: EpisodeSpec, samples: Samples, stamp: int, *, fixed
     return MarkerArray(markers=[*(fixed_markers(episode, stamp) if fixed else ()), *moving])
 
 
+_UNITS = {Quantity.ACCELERATION: "m/s²", Quantity.SPEED: "m/s"}
+
+
 class LiveFigures:
-    """Publishes the figures of each moment, where a node has subscribed when the episode begins."""
+    """Publishes the figures of each moment, where a node has subscribed when the episode begins, or shows them."""
 
     def __init__(self, node: Node) -> None:
         """Make the topics; `node` publishes on them."""
+        self._node, self._unit = node, _UNITS[Quantity.ACCELERATION]
         self._clearance = node.create_publisher(Float64, CLEARANCE, STREAM)
         self._deviation = node.create_publisher(Float64, DEVIATION, STREAM)
         self._onlooker: Onlooker | None = None
+        self._show: Show | None = None
+        self._ages = CommandAges(waited_for=False)
+
+    def watch(self, show: Show, commands: CommandOptions) -> None:
+        """Call a function with each situation, in which the car's command and its age are known, too."""
+        heard = car_commands(commands)
+
+        def on_command(message: Any) -> None:
+            stamp, command = heard.read(message)
+            self._drive = command[0]
+            self._ages.come(stamp or None, time.monotonic())
+
+        self._show, self._unit = show, _UNITS[heard.format.quantity]
+        self._node.create_subscription(heard.kind, commands.command_topic, on_command, STREAM)
 
     def begin(self, episode: EpisodeSpec, start: int) -> None:
         """Begin an episode.
@@ -146,20 +167,33 @@ class LiveFigures:
             start: stamp of its tick 0, ns.
         """
         listeners = self._clearance.get_subscription_count() + self._deviation.get_subscription_count()
-        self._onlooker = Onlooker(episode) if listeners else None
+        self._onlooker = Onlooker(episode, self._unit) if listeners or self._show else None
         self._scenario, self._start = episode.scenario, start
         self._moments = Moments(CarState, AdversaryState)
+        self._drive, self._latest = math.nan, start
+        self._ages.begin()
 
     def take(self, stamp: int, state: CarState | AdversaryState) -> None:
         """Take a state of the car or the adversary, stamped in ns; publish when both of a moment are there."""
-        if self._onlooker is None or (both := self._moments.put(stamp, type(state), state)) is None:
+        if self._onlooker is None:
             return
+        if isinstance(state, CarState):
+            now = time.monotonic()
+            if stamp > self._latest and not math.isnan(self._drive):
+                self._ages.use(now)
+            self._latest = stamp
+            self._ages.publish(stamp, now)
         place = period_of(stamp, self._start, self._scenario.time_step, self._scenario.control_periods)
-        if place is not None:
-            seen = self._onlooker.see(*place, both[CarState], both[AdversaryState], math.nan, math.nan)
-            self._clearance.publish(Float64(data=seen.clearance))
-            if not math.isnan(seen.strayed):
-                self._deviation.publish(Float64(data=seen.strayed))
+        both = self._moments.put(stamp, type(state), state)
+        if place is None or both is None:
+            return
+        age = self._ages.ages[-1] if self._ages.ages else math.nan
+        seen = self._onlooker.see(*place, both[CarState], both[AdversaryState], self._drive, age)
+        self._clearance.publish(Float64(data=seen.clearance))
+        if not math.isnan(seen.strayed):
+            self._deviation.publish(Float64(data=seen.strayed))
+        if self._show is not None:
+            self._show(seen)
 
 
 def recorded_figures(log: EpisodeLog, start: int) -> Iterator[tuple[str, Float64, int]]:

@@ -200,7 +200,7 @@ def _driving(
         return
     from skd_evaluator.ros.driving import Watched  # only here: ROS may be added by `prepare_ros`
 
-    watched = Watched(options, hand_for, show, controls.look)
+    watched = Watched(hand_for, show, controls.look)
     with ResultFolder(default_folder("drive")).scratch() as scratch:
         setting = GraphSetting(options=options, car=plan.car, log_folder=scratch.logs, say=said)
         with graph_session(setting, watched) as evaluator:
