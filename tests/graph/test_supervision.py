@@ -29,7 +29,7 @@ from skd_evaluator.ros.evaluator import Evaluator, refuted
 from skd_evaluator.ros.processes import AbortedEpisodes, GraphError, Program, Supervisor
 from skd_sim.ros import discovery
 from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, abort_reason, kind_of
-from skd_sim.world.state import CarState
+from skd_sim.world.state import AdversaryState, CarState
 
 
 @pytest.mark.parametrize(
@@ -97,15 +97,17 @@ def test_what_is_lost_all_the_same_is_said_and_soon(
 ) -> None:
     monkeypatch.setattr(evaluator_module, "_LOST", 1.0)
     with graph(context, domain, tmp_path) as node:
-        keep, stamps = node._samples.add_car, list[int]()
+        keep, stamps = node._samples.add, list[int]()
 
-        def loses_the_third(stamp: int, state: CarState) -> None:
+        def loses_the_third(stamp: int, state: CarState | AdversaryState) -> None:
             if stamp not in stamps:
                 stamps.append(stamp)
-            if stamps.index(stamp) != 2:  # a simulator that waits for a command sends its state again
+            if stamps.index(stamp) != 2 or isinstance(
+                state, AdversaryState
+            ):  # a simulator that waits for a command sends its state again
                 keep(stamp, state)
 
-        monkeypatch.setattr(node._samples, "add_car", loses_the_third)
+        monkeypatch.setattr(node._samples, "add", loses_the_third)
         begin = time.monotonic()
         log = node.run_episode(replay)
         took = time.monotonic() - begin

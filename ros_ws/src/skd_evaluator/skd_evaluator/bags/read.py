@@ -123,12 +123,7 @@ class GraphRecording:
     def _add_state(self, role: str, message: Any) -> None:
         stamp = from_stamp(message.header.stamp)
         try:
-            if role == CAR:
-                car = odometry_to_car(message)
-                self.samples.add_car(stamp, car)
-            else:
-                adversary = odometry_to_adversary(message)
-                self.samples.add_adversary(stamp, adversary.x, adversary.y)
+            self.samples.add(stamp, odometry_to_car(message) if role == CAR else odometry_to_adversary(message))
         except UsageError as error:
             self.torn[stamp] = str(error)
         if len(self.samples) > _MOST_STATES:

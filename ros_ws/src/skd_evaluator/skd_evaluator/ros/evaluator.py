@@ -337,10 +337,7 @@ class Evaluator(GraphNode):
         if stamp < self._key.start:
             return
         try:
-            if isinstance(state, CarState):
-                self._samples.add_car(stamp, state)
-            else:
-                self._samples.add_adversary(stamp, state.x, state.y)
+            self._samples.add(stamp, state)
         except UsageError as error:
             self._require_alone()
             whose, topic = ("car", EGO_ODOMETRY) if isinstance(state, CarState) else ("adversary", ADVERSARY_ODOMETRY)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
-from skd_sim.world.state import CarState
+from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import UNTIMED, Timing, tick_stamp
-
-_State = TypeVar("_State", bound=tuple[float, ...])
 
 
 class EpisodeKey(NamedTuple):
@@ -38,15 +36,6 @@ class EpisodeEnd:
     commands: FloatArray | None = None
 
 
-def _add(kept: dict[int, _State], stamp: int, state: _State, whose: str) -> None:
-    known = kept.setdefault(stamp, state)
-    if known != state:
-        raise UsageError(
-            f"two different states of the {whose} at simulation time {stamp / 1e9:.3f} s: several recordings are "
-            "mixed; give each its own bag"
-        )
-
-
 class Samples:
     """States by stamp (ns), in whatever order they come."""
 
@@ -55,21 +44,22 @@ class Samples:
         self.car: dict[int, CarState] = {}
         self.adversary: dict[int, tuple[float, float]] = {}
 
-    def add_car(self, stamp: int, car: CarState) -> None:
-        """Add a state of the car.
+    def add(self, stamp: int, state: CarState | AdversaryState) -> None:
+        """Add a state of the car, or of the adversary, of which the place is kept.
 
         Raises:
-            UsageError: another state has the same stamp.
+            UsageError: another one has the same stamp.
         """
-        _add(self.car, stamp, car, "car")
-
-    def add_adversary(self, stamp: int, x: float, y: float) -> None:
-        """Add a position of the adversary (m).
-
-        Raises:
-            UsageError: another position has the same stamp.
-        """
-        _add(self.adversary, stamp, (x, y), "adversary")
+        if isinstance(state, CarState):
+            same, whose = self.car.setdefault(stamp, state) == state, "car"
+        else:
+            place = state.x, state.y
+            same, whose = self.adversary.setdefault(stamp, place) == place, "adversary"
+        if not same:
+            raise UsageError(
+                f"two different states of the {whose} at simulation time {stamp / 1e9:.3f} s: several recordings are "
+                "mixed; give each its own bag"
+            )
 
     def __len__(self) -> int:
         """Return how many states have come."""
