@@ -240,7 +240,7 @@ def test_interrupted(here, name, number, to_all, processes):
 
 
 def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
-    """What has run is kept, and not run again; another car in its place is refused."""
+    """What has run is kept, and not run again; to begin anew without a word, or with another seed, is refused."""
     counting = "class Counts(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
     (here / "my_cars.py").write_text(
         CONTROLLERS + counting + "        open('/dev/shm/' + os.environ['N'], 'a').write('x')\n"
@@ -257,6 +257,8 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
         (line,) = [line for line in done.stderr.splitlines() if not line.startswith("skd: ")]
         kept = int(re.search(r"interrupted; (\d+) episodes kept, .*; go on with: .* --resume$", line)[1])
         assert kept > 100
+        one_line(skd(*command, cwd=here, N=counted.name), 2, "was interrupted; --resume goes on with it")
+        one_line(skd(*command, "--resume", "--seed", "5", cwd=here, N=counted.name), 2, "with other options")
         assert not (here / "out").exists()
         before = counted.stat().st_size
         done = skd(*command, "--resume", "--json", cwd=here, N=counted.name)
@@ -269,7 +271,7 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
         assert {key for key in whole if whole[key] != resumed[key]} <= {"seconds", "provenance"}
     finally:
         counted.unlink(missing_ok=True)
-    one_line(skd(*command, "--resume", "--overwrite", cwd=here), 2, "no interrupted assessment is kept")
+    one_line(skd(*command, "--resume", cwd=here), 2, "it is complete")
 
 
 def waiting_run(here: Path) -> ForkedSkd:

@@ -287,7 +287,7 @@ def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict(changes:
         ((1.0, 6.0), (2.0, 10.7), "safer at the price of 4.7 s for each harmless road user"),
         ((2.0, 10.7), (1.0, 6.0), "less safe, and 4.7 s quicker for each harmless road user"),
         ((1.0, 10.7), (2.0, 6.0), "safer"),
-        ((1.0, 6.0), (2.0, HORIZON), "leaves room only because it does not get past people"),
+        ((1.0, 6.0), (2.0, HORIZON), "not called safer, for it is often stuck"),
         ((2.0, HORIZON), (1.0, 6.0), "less safe, and 24.0 s quicker for each harmless road user"),
         ((1.0, HORIZON), (2.0, HORIZON), "safer"),
     ],
@@ -342,5 +342,5 @@ def test_a_car_that_is_hit_much_harder_is_not_called_safer(
 def test_an_upper_bound_of_a_car_that_does_not_get_past_is_no_safety() -> None:
     one = priced("a", values(1, shift=3.0), HORIZON, margin_converged=False)
     other = priced("b", values(1), margin_converged=False)
-    assert compare(other, one).verdict == "leaves room only because it does not get past people"
-    assert compare(one, other).verdict == "the other leaves room only because it does not get past people"
+    assert compare(other, one).verdict == "not called safer, for it is often stuck"
+    assert compare(one, other).verdict == "less room, but the other is often stuck"

@@ -87,7 +87,7 @@ def test_a_users_file_is_sent_and_does_the_same_as_here(cluster, cars):
     ("name", "error", "parts"),
     [
         ("Wrong", AssessmentError, "finite number.*fast"),
-        ("Leaves", AssessmentError, "3 starts in a row failed.*exit code 7"),
+        ("Leaves", AssessmentError, "3 episodes in a row failed.*exit code 7"),
         ("Needs", UsageError, "cannot be loaded.*nowhere_to_be_found"),
     ],
 )

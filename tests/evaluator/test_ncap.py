@@ -190,7 +190,7 @@ def test_a_car_that_does_not_repeat_itself_is_not_credible(cars):
     done = skd("ncap", "--controller", "ncap_cars:Keeps", *words, "keeps", cwd=cars)
     assert done.returncode == 1, done.stderr
     (warning,) = read_ncap(cars / "keeps").warnings
-    assert re.match("not credible: [5-8] of 8 episodes went differently", warning)
+    assert re.match("not credible: [5-8] of 8 episodes ended differently", warning)
     assert f"skd ncap: warning: {warning}\n" in done.stderr
     assert done.stdout.startswith("Not credible")
     assert warning.partition("(")[0].strip() in (cars / "keeps" / "ncap.html").read_text()

@@ -89,8 +89,8 @@ def words(name: str, *more: str) -> list[str]:
     ("name", "parts"),
     [
         ("Raises", ["command failed with ZeroDivisionError: division by zero", "cars.py, line 11"]),
-        ("Exits", ["3 starts in a row failed", "process ended", "exit code 0"]),
-        ("Crashes", ["3 starts in a row failed", "process ended", "SIGSEGV"]),
+        ("Exits", ["3 episodes in a row failed", "process ended", "exit code 0"]),
+        ("Crashes", ["3 episodes in a row failed", "process ended", "SIGSEGV"]),
         ("Nan", ["command must return a finite number (m/s²), got nan"]),
     ],
 )
@@ -102,7 +102,7 @@ def test_a_controller_that_fails_ends_the_assessment_in_one_line(cars: Path, nam
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_controller_that_hangs_ends_the_assessment_in_one_line(cars: Path, workers: str) -> None:
     done = skd(*words("Hangs", "--workers", workers, "-p", "startup_timeout:=1"), cwd=cars)
-    one_line(done, 1, "3 starts in a row failed", "no answer within 1 s", "cars:Hangs")
+    one_line(done, 1, "3 episodes in a row failed", "a call took more than 1 s", "cars:Hangs")
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_a_figure_that_does_not_follow_from_the_episodes_is_named(result: Path, 
 def test_verify_says_what_agrees_and_what_cannot_be_computed(result: Path, skd_here) -> None:
     done = skd_here("verify", str(result))
     assert done.returncode == 0
-    assert "figures recomputed, and as said" in done.stdout
+    assert "figures recomputed, all as stored" in done.stdout
     assert "margin_converged" in done.stdout
     (one,) = json.loads(skd_here("verify", str(result), "--json").stdout)["results"]
     assert one["fine"]

@@ -36,7 +36,7 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     assert finished.lines[0].startswith("skd: waiting for a publisher of /ego/acceleration_command (ROS_DOMAIN_ID=")
     first, last = finished.timeless[1:]
     assert first.startswith("skd: an episode was aborted, the first one so: not started: the car controller")
-    assert "3 starts in a row failed, the last one so: not started: the car controller" in last
+    assert "3 episodes in a row failed, the last one so: not started: the car controller" in last
     assert "no node publishes on /ego/acceleration_command" in last
     assert last.rpartition("; log: ")[0].endswith("; aborted were 3 not started")
     logs = tmp_path / "out" / "logs"
@@ -132,7 +132,7 @@ def test_a_car_that_keeps_something_is_not_credible(tmp_path: Path, safe: Path) 
     found = json.loads((out / "assessment.json").read_text())["warnings"]
     (line,) = [line for line in found if line.startswith(NOT_CREDIBLE)]
     assert done.code == 1, done.err
-    assert "episodes went differently when they were run again" in line
+    assert "episodes ended differently in another order" in line
     assert line in done.err
 
 

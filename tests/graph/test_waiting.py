@@ -88,9 +88,9 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {
         "/ego/odometry with a durability that is not offered",
         {},
     ),
-    "zero stamp": ((HEARS, COMMANDS_IT), "-p quiet_time:=0.1 or --pacing real_time", {"newest": 0}),
+    "zero stamp": ((HEARS, COMMANDS_IT), "-p quiet_time:=0.1, or --pacing real_time", {"newest": 0}),
     "wall clock": ((HEARS, COMMANDS_IT), "set use_sim_time:=true", {"newest": 1_700_000_000 * SECOND}),
-    "other stamp": ((HEARS, COMMANDS_IT), "they lag by 3 s: ", {"newest": START - 3 * SECOND}),
+    "other stamp": ((HEARS, COMMANDS_IT), "their stamps lag by 3 s: ", {"newest": START - 3 * SECOND}),
     "no laser": (
         (COMMANDS_IT, listens(LaserScan, "/ego/scan")),
         "the scenario has no section sensor",

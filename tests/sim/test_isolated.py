@@ -166,7 +166,7 @@ def test_of_many_items_those_that_cost_the_child_are_lost_alone() -> None:
 def test_a_call_that_does_not_end_is_broken_off(how: str) -> None:
     set_call_limit(0.4)
     begin = time.monotonic()
-    with pytest.raises(LostProcessError, match=r"no answer within 0\.4 s \(mine\)") as caught:
+    with pytest.raises(LostProcessError, match=r"a call took more than 0\.4 s \(mine\)") as caught:
         isolated("mine", hang, how)
     assert kind_of(caught.value.reason) == AbortKind.NO_ANSWER
     assert time.monotonic() - begin < 5.0
@@ -176,7 +176,7 @@ def test_children_that_end_at_once_end_the_assessment() -> None:
     for _ in range(FAILED_STARTS - 1):
         with pytest.raises(LostProcessError):
             isolated("mine", leave, 3)
-    with pytest.raises(AssessmentError, match=r"3 starts in a row failed.*exit code 3"):
+    with pytest.raises(AssessmentError, match=r"3 episodes in a row failed.*exit code 3"):
         isolated("mine", leave, 3)
 
 

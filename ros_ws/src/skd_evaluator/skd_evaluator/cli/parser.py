@@ -126,6 +126,9 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     Raises:
         UsageError: a parameter is wrong.
     """
+    if not words:
+        parser.print_help(sys.stderr)
+        parser.exit(EXIT_USAGE)
     arguments, unknown = parser.parse_known_args(words)
     chosen = commands_of(parser)[arguments.command]
     if problem := getattr(arguments, "problem", ""):

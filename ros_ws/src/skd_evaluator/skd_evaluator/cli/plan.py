@@ -153,4 +153,4 @@ def _table(sizes: Sequence[Size], cheapest: Size) -> Table:
         power = "—" if size.power is None else f"{100 * size.power:.0f} %"
         cells = (str(size.trials), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
         rows.append([f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells])
-    return narrow_table("Enough; fewest episodes in bold", ("ψ per φ", "φ", "episodes", "width", "power"), rows)
+    return narrow_table("Numbers that suffice", ("ψ per φ", "φ", "episodes", "width", "power"), rows)

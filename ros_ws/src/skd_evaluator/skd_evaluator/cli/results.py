@@ -26,7 +26,7 @@ from skd_evaluator.report.terminal import (
     safe_trajectory_table,
     surrogate_table,
 )
-from skd_evaluator.report.warnings import most_frequent, warnings_of, why_failed
+from skd_evaluator.report.warnings import PLANNED, most_frequent, warnings_of, why_failed
 from skd_evaluator.ros.processes import log_of
 
 _SHOWN = 10
@@ -58,7 +58,9 @@ def print_result(
         seconds = f"{assessment.seconds:.1f} s"
         more = "" if arguments.details else "; --details prints every figure, SKD among them"
         print(seconds if problem else f"{seconds}; results in {out.path}{more}")
-    warn(arguments.command, warnings_of(assessment, said=said))
+    warnings = warnings_of(assessment, said=said)
+    shown = arguments.details or arguments.json  # planned figures
+    warn(arguments.command, [line for line in warnings if shown or not line.startswith(PLANNED)])
     failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted)]
     checks = gate.checks(result, None if problem else out.path, failures)
     if len(checks) > 1 and checks[0].error and not failures:

@@ -47,7 +47,7 @@ from skd_evaluator.metrics.equivalent_multiplier import (
     equivalent_multiplier,
 )
 
-LABEL = "margin of basic cars"
+LABEL = "margin, equivalent basic car"
 LOWEST: Final = 25
 HIGHEST: Final = 200
 """Of C, in hundredths."""

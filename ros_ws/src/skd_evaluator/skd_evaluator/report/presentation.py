@@ -17,10 +17,12 @@ from skd_evaluator.assessment.run.workers import available_workers, in_backgroun
 
 def episode_line(log: EpisodeLog) -> str:
     """Return how an episode ended, in a few words."""
-    impact = ""
-    if log.outcome == Outcome.COLLISION:
+    impact, name = "", log.outcome.name.lower()
+    if log.outcome == Outcome.TIMEOUT:
+        name = "time is over"
+    elif log.outcome == Outcome.COLLISION:
         impact = f" after {log.impact_time:.2f} s at {log.impact_speed:.2f} m/s"
-    return f"{log.outcome.name.lower()}{impact}; {len(log.adversary) - 1} ticks"
+    return f"{name}{impact}; {len(log.adversary) - 1} ticks"
 
 
 def fill(folder: Path, assessment: Assessment, *, may_fork: bool = False) -> None:

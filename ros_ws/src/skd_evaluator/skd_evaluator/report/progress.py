@@ -10,7 +10,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
 from skd_sim.kernels.compilation import on_compiling
 
 from skd_evaluator.assessment.context import Progress as CampaignProgress
@@ -19,7 +28,7 @@ LINE_EVERY = 60.0
 """s between two lines of a step where there is no terminal."""
 SILENT = 5.0
 """s before the first line: what is done by then needs none."""
-COMPILING = "compiling, which a first run does once: a minute or two"
+COMPILING = "compiling what a car of this kind needs, once: a minute or two"
 
 
 @contextmanager
@@ -53,14 +62,27 @@ class _Numbered:
         return f"step {found[0]} of {len(self._steps)}: {label}" if found else label
 
 
+class _Done(MofNCompleteColumn):
+    """How many of how many parts are done; nothing where that is not known."""
+
+    def render(self, task: Task) -> Text:
+        return super().render(task) if task.total is not None else Text("")
+
+
+class _Left(TimeRemainingColumn):
+    """The time that is left; nothing where that is not known."""
+
+    def render(self, task: Task) -> Text:
+        return super().render(task).append(" left") if task.time_remaining else Text("")
+
+
 _Shown = tuple[CampaignProgress, Callable[[str], None]]
 
 
 @contextmanager
 def _on_terminal(numbered: _Numbered) -> Iterator[_Shown]:
     columns = (
-        TextColumn("{task.description}"), BarColumn(bar_width=16), MofNCompleteColumn(), TimeElapsedColumn(),
-        TimeRemainingColumn(compact=True), TextColumn("left"),
+        TextColumn("{task.description}"), BarColumn(bar_width=16), _Done(), TimeElapsedColumn(), _Left(compact=True),
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("starting", total=None)

@@ -103,16 +103,14 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
             "plain": _equivalent_interval(style, figures, THESE_PHI),
             "basis": _equivalent_basis(figures),
         },
-        "nominal_collision_rate": {
-            "basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned"
-        },
+        "nominal_collision_rate": {"basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, along φ"},
         "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else ""},
         "deviation": {
             "basis": f"{f'adversary model: {model}; ' if model else ''}{counted(ranking['trials'], 'trial')} "
             f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
         },
         "optimality_gap": {
-            "basis": "how many times the margin planned kamikazes needed, in the same trials",
+            "basis": "planned kamikazes needed so many times the margin",
             "alert": close is not None and close > GAP_WARNING,
         },
         "skd": {
@@ -122,7 +120,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
     }
     risk = figures.get("risk")
     if risk:
-        people = f"people by {risk['behaviour']['name']}"
+        people = f"behaviour model {risk['behaviour']['name']}"
         overrides.update({f"risk_{one['scale']:g}": {"basis": f"{one['method']}; {people}"} for one in risk["scales"]})
     if price := figures.get("price_of_caution"):
         runs = counted(len(price["runs"]), "harmless run")

@@ -20,7 +20,7 @@ _number, _interval = TERMINAL.number, TERMINAL.interval
 def credibility_mark(row: Mapping[str, Any]) -> str:
     """Return what stands behind the name of a car that is not credible, or does not get past people."""
     said = credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
-    marks = [*([said] if said else []), *(["does not get past people"] if does_not_get_past(row) else [])]
+    marks = [*([said] if said else []), *(["often stuck"] if does_not_get_past(row) else [])]
     return f", [red]{'; '.join(marks)}[/]" if marks else ""
 
 
@@ -69,19 +69,20 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
         verdict = f"[bold]{_short(entry)}[/]{_disagreement(entry['differences'])}"
         cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
     return narrow_table(
-        f"Beside {escape(first)}; intervals hold together with 95 %; s: later past each harmless road user",
+        f"Compared with {escape(first)}; all intervals hold at once with 95 %",
         heads,
         cells,
     )
 
 
 def _short(entry: Mapping[str, Any]) -> str:
-    """Return a verdict with its price as a number alone."""
+    """Return a verdict with its price in few words."""
     verdict = str(entry["verdict"])
     if not verdict.endswith(EACH):
         return verdict
     said = verdict.partition(" at the price")[0].partition(",")[0]
-    return f"{said}, {entry['price']['difference']:+.1f} s"
+    later = entry["price"]["difference"]
+    return f"{said}, {abs(later):.1f} s {'slower' if later > 0.0 else 'quicker'}"
 
 
 def _disagreement(differences: Mapping[str, Any]) -> str:

@@ -120,7 +120,7 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
         return f", {counted(result['collision_runs'], 'run')}"
     if key == "time_lost" and result["deadlock"]:
         return f", [red]{_percent(result['deadlock'])} never pass[/]"
-    return ", people as they walk" if key == "risk_1" else ""
+    return ", ordinary walkers" if key == "risk_1" else ""
 
 
 def _how_sure(result: Mapping[str, Any]) -> str:
@@ -153,7 +153,7 @@ def details_table(result: Mapping[str, Any]) -> Table:
         name, of = f"most likely failures at s = {found['scale']:g}", f" of {counted(found['runs'], 'crossing')}"
         rows.append([name, str(found["hits"]), "", "", of])
         for one in found["kinds"]:
-            nearest = f" the nearest: {how_many(one['nearest'][0]['people'])} deviate as much or more"
+            nearest = f" the most usual: {how_many(one['nearest'][0]['people'])} differ more from the average"
             rows.append([f"  {escape(one['kind'])}", _percent(one["share"]), "", "", nearest])
     if result["discarded_by_distance"]:
         rows.append(["discarded by distance", str(result["discarded_by_distance"])])
@@ -195,9 +195,7 @@ def few_safe_trajectories(result: Mapping[str, Any]) -> str | None:
     count = len(result["per_safe_trajectory"])
     if not 1 < count < _FEW:
         return None
-    return (
-        f"Intervals over {count} φ say little: they are wide, and rest on φ being of one kind. By default there are 20."
-    )
+    return f"Intervals over {count} φ say little. By default there are 20 φ."
 
 
 def safe_trajectory_table(result: Mapping[str, Any]) -> Table:

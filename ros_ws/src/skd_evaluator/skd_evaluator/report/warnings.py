@@ -16,9 +16,12 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
 from skd_evaluator.metrics.margins import GAP_WARNING, stopped_at
+from skd_evaluator.report.formats import counted
 
 Result = Mapping[str, Any]
 """Content of assessment.json."""
+PLANNED = "planned kamikazes needed"
+"""How the warning about planned figures begins."""
 _FEWEST = 10
 """Trials below which optimality gap, or a quantile of impacts, says little."""
 _JUST_ABOVE = 0.25
@@ -34,12 +37,13 @@ def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
             optimality gap as a column needs none.
     """
     found = [nothing] if (nothing := undefined(result)) and result["margin"] is not None else []
-    for row in result["per_safe_trajectory"]:
-        if not row["safe"]:
-            found.append(
-                f"safe trajectory {row['name']!r} was hit in {100 * row['contact_rate']:.0f} % of "
-                f"{row['collision_runs']} runs along it: with this car it is not safe, and a kamikaze need not leave it"
-            )
+    rows = result["per_safe_trajectory"]
+    if unsafe := [row for row in rows if not row["safe"]]:
+        worst = max(unsafe, key=lambda row: float(row["contact_rate"]))
+        found.append(
+            f"{len(unsafe)} of {counted(len(rows), 'safe trajectory')} {'is' if len(unsafe) == 1 else 'are'} not safe "
+            f"with this car, as {worst['name']}: {100 * worst['contact_rate']:.0f} % of the runs along it collide"
+        )
     found += _of_margin(result) if planned else []
     if (stopped := result["until_width"]) and not stopped["reached"]:
         found.append(stopped["text"])
@@ -70,10 +74,7 @@ def _of_margin(result: Result) -> Iterator[str]:
     if not result["margin_converged"]:
         yield f"the search for the margin {stopped_at(result)}: the margin may be less; give a greater --margin-limit"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
-        yield (
-            f"planned kamikazes needed {close:.2f} times the margin: the planned deviation and SKD say as much about "
-            "what they knew as about the car; judge it by the margin"
-        )
+        yield f"{PLANNED} {close:.2f} times the margin: judge the car by its margin, not by planned deviation or SKD"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
     if impact and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE and trials - beyond >= _FEWEST:
         yield (
@@ -83,9 +84,8 @@ def _of_margin(result: Result) -> Iterator[str]:
     touched, hit = _contacts(result)
     if hit and beyond == trials:
         yield (
-            f"no hit within η_max was found in the {trials} trials of the margin, but {hit} other "
-            f"{'episodes' if hit > 1 else 'episode'} ended in a hit: give a greater --kamikaze-count or --safe-count, "
-            "or a scenario with a greater eta_max"
+            f"the {trials} trials of the margin have no hit within η_max, but {counted(hit, 'other episode')} ended in "
+            "one: give a greater --kamikaze-count or eta_max"
         )
     elif result["margin_ci95"] is not None and result["margin_ci95"][1] - result["margin_ci95"][0] < _NO_WIDTH:
         yield (

@@ -365,6 +365,6 @@ class AbortedEpisodes:
             where = f"; log: {log_of(self._log_folder, log.reason)}" if self._log_folder else ""
             self._say(f"an episode was aborted, the first one so: {log.reason}{where}")
         if self._failed_starts >= FAILED_STARTS:
-            raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
+            raise AssessmentError(f"{FAILED_STARTS} episodes in a row failed, the last one so: {log.reason}")
         if self._unanswered >= _UNANSWERED:
             raise AssessmentError(f"{_UNANSWERED} episodes in a row were not answered, the last one so: {log.reason}")

@@ -9,6 +9,7 @@ another child.
 from __future__ import annotations
 
 import contextlib
+import io
 import mmap
 import os
 import pickle
@@ -147,7 +148,7 @@ def isolated_each(
             _Here.failed = 0 if child.done else _Here.failed + 1
             if _Here.failed >= FAILED_STARTS:
                 _Here.failed = 0
-                what = f"{FAILED_STARTS} starts in a row failed, the last one so: {error.reason}"
+                what = f"{FAILED_STARTS} episodes in a row failed, the last one so: {error.reason}"
                 raise AssessmentError(what) from None
             done += 1
             yield lost(items[done - 1], error.reason)
@@ -243,7 +244,7 @@ class IsolatedProcess:
             if self._has_ended():
                 raise EOFError  # a process that it has left may hold its end of the pipe
             if 0.0 < self._call[0] < time.monotonic():
-                self._lose(AbortKind.NO_ANSWER, f"no answer within {self._call[1]:g} s")
+                self._lose(AbortKind.NO_ANSWER, f"a call took more than {self._call[1]:g} s")
 
     def _lose(self, kind: AbortKind, what: str) -> NoReturn:
         self.close()
@@ -331,7 +332,22 @@ def _redirect() -> None:
     os.dup2(nothing, 0)
     os.dup2(2, 1)
     sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
-    sys.stdout = sys.stderr = open(2, "w", 1, encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", 1, encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
+    sys.stdout = _FirstLines(sys.stderr.buffer, "utf-8", "backslashreplace", line_buffering=True)
+
+
+class _FirstLines(io.TextIOWrapper):
+    """Passes on the first lines that a child prints: a car may print one at each command."""
+
+    left = 100
+
+    def write(self, text: str) -> int:
+        if self.left > 0:
+            super().write(text)
+            self.left -= text.count("\n")
+            if self.left <= 0:
+                super().write("skd: what the car prints further is not shown\n")
+        return len(text)
 
 
 def _end_with(parent: int) -> None:

@@ -83,9 +83,14 @@ def _check_methods(made: object, what: str) -> None:
         try:
             signature.bind(*takes)
         except TypeError:
-            code = getattr(inspect.unwrap(method), "__code__", None)
-            where = f" ({os.path.relpath(code.co_filename)}, line {code.co_firstlineno})" if code else ""
-            raise UsageError(f"{what}: {name} must take ({', '.join(takes)}), and takes {signature}{where}") from None
+            takes_not = f"{name} must take ({', '.join(takes)}), and takes {signature}{_place_of_method(method)}"
+            raise UsageError(f"{what}: {takes_not}") from None
+
+
+def _place_of_method(method: Callable[..., Any]) -> str:
+    """Return where a method begins, in brackets; empty where that is not known."""
+    code = getattr(inspect.unwrap(method), "__code__", None)
+    return f" ({os.path.relpath(code.co_filename)}, line {code.co_firstlineno})" if code else ""
 
 
 def _number(answer: Any) -> float:
@@ -147,6 +152,7 @@ class UserController:
             raise NoNumberError(
                 f"controller {self._name}: command must return a finite number (m/s²), got {short(answer)}; or two, "
                 "with a steering angle (rad)"
+                f"{_place_of_method(self._controller.command)}"
             )
         if pair is None:
             return acceleration
@@ -236,7 +242,10 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
         return cast(Controller, factory(multiplier) if car.has_multiplier else factory())
     begin_call(LOADING)
     try:
-        made: Any = load(target, what)()
+        found = load(target, what)
+        if inspect.isfunction(found) and inspect.signature(found).parameters:
+            raise UsageError(f"{what} is a function; give a class with the methods reset and command")
+        made: Any = found()
         _check_methods(made, what)
         return user_controller(made, car.short_controller)
     except (Interrupted, UsageError):  # this process is to end, or what is wrong is said already

@@ -93,7 +93,7 @@ def reason_of(error: BaseException) -> str:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
     except BaseException:
         reason = type(error).__name__
-    return reason + ("; is it on PYTHONPATH?" if isinstance(error, ModuleNotFoundError) else "")
+    return reason + ("; is it installed, or on PYTHONPATH?" if isinstance(error, ModuleNotFoundError) else "")
 
 
 def place_of(error: BaseException, folder: str = "") -> str:

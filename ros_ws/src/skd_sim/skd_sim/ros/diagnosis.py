@@ -189,7 +189,7 @@ def _type(seen: Evidence) -> str | None:
     if not seen.publishers or any(one.kind == seen.awaited.kind for one in seen.publishers):
         return None
     other, (topic, kind) = seen.publishers[0], seen.awaited
-    return f"{other.name} publishes {other.kind} on {topic}, awaited is {kind}: {_option(other.kind)}"
+    return f"{other.name} publishes {other.kind} on {topic}, expected is {kind}: {_option(other.kind)}"
 
 
 def _misfit(offered: QoSProfile, requested: QoSProfile) -> str:
@@ -252,7 +252,7 @@ def _stamp(fits: Callable[[int, Evidence], bool]) -> Callable[[Evidence], str | 
     def find(seen: Evidence) -> str | None:
         if seen.newest is None or not fits(seen.newest, seen):
             return None
-        return f"commands come, but their stamps are of no use: {stamp_fault(seen.newest, seen.stamp or 0)}"
+        return f"commands come, but their stamps {stamp_fault(seen.newest, seen.stamp or 0)}"
 
     return find
 

@@ -116,7 +116,7 @@ class CommandSource:
             return abort_reason(
                 AbortKind.WRONG_STAMP,
                 f"{silent}: its commands carry other stamps ({self._ignored} came; newest {_seconds(self._newest)}, "
-                f"awaited {_seconds(awaited)}); {stamp_fault(self._newest, awaited)}",
+                f"awaited {_seconds(awaited)}); stamps {stamp_fault(self._newest, awaited)}",
             )
         if not self.senders.count():
             return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")

@@ -45,14 +45,14 @@ def stamp_fault(stamp: int, expected: int) -> str:
     """Return what is wrong with the stamp (ns) of an answer to the state of another (ns), and what would help."""
     behind = (expected - stamp) / NANOSECONDS
     if stamp == 0:
-        return f"they are not set: copy the odometry's stamp, or {_ANY_STAMP}"
+        return f"are not set: copy the odometry's stamp, or {_ANY_STAMP}"
     if stamp > WALL_CLOCK:
-        return f"they are of the wall clock: set use_sim_time:=true, copy the odometry's stamp, or {_ANY_STAMP}"
+        return f"are of the wall clock: set use_sim_time:=true, copy the odometry's stamp, or {_ANY_STAMP}"
     how = f"lag by {behind:.3g} s" if behind > 0.0 else f"are {-behind:.3g} s ahead"
-    return f"they {how}: copy the odometry's stamp, or, of a node with a timer, use_sim_time:=true and {_ANY_STAMP}"
+    return f"{how}: copy the odometry's stamp, or, of a node with a timer, use_sim_time:=true and {_ANY_STAMP}"
 
 
-_ANY_STAMP = "-p quiet_time:=0.1 or --pacing real_time, which wait for none"
+_ANY_STAMP = "-p quiet_time:=0.1, or --pacing real_time"
 
 
 class Timing(NamedTuple):

@@ -46,7 +46,8 @@ from skd_evaluator.metrics.statistics import mean
 SAFER, LESS_SAFE, INCONCLUSIVE, NOT_COMPARED = "safer", "less safe", "inconclusive", "not compared"
 AS_SAFE, AS_SAFE_WITHIN = "as safe", 0.1  # of the lesser margin
 EACH = " for each harmless road user"
-KEEPS_OUT = "leaves room only because it does not get past people"
+STUCK = "not called safer, for it is often stuck"
+OTHER_STUCK = "less room, but the other is often stuck"
 MARGIN, DEVIATION, IMPACT = "margin", "deviation", "impact_speed"
 RANKING_RISK = f"risk_{RANKS:g}"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
@@ -141,8 +142,8 @@ class Comparison:
         judge = self.judged_by
         leaning = 0 if judge is None else _SIGNS[judge] * self.differences[judge].leaning
         if second and not first and leaning > 0:
-            return KEEPS_OUT
-        return f"the other {KEEPS_OUT}" if first and not second and leaning < 0 else ""
+            return STUCK
+        return OTHER_STUCK if first and not second and leaning < 0 else ""
 
     @property
     def is_bound(self) -> tuple[bool, bool]:
@@ -242,8 +243,8 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
     theirs = [other for _, other in both] if paired else list(range(len(second.safe)))
     if paired and (len(ours) < len(first.safe) or len(theirs) < len(second.safe)):
         remarks.append(
-            f"{first.folder} and {second.folder} have {len(ours)} of {len(first.safe)} and {len(second.safe)} φ in "
-            "common: the difference is of these alone"
+            f"{first.folder} and {second.folder} are compared on the {len(ours)} φ that both have, of "
+            f"{len(first.safe)} and {len(second.safe)}"
         )
     left_out = _left_out(first, second, planned=not unlike)
     found = {
@@ -331,21 +332,22 @@ def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> se
 
 def _of_the_risks(held: Comparison) -> list[str]:
     """Return what a reader should know of the risks beside the verdict, a line each."""
-    between = f"{held.first.folder} and {held.second.folder}"
+    first, second = held.first.folder, held.second.folder
     if unlike := unlike_behaviours(held.first, held.second):
-        return [f"risks of {between} are of different behaviour models, {unlike}, and are not compared"]
+        return [f"risks of {first} and {second} are not compared: their behaviour models are {unlike}"]
     better, worse = ([name for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
     if better and worse:
         said = f"better by {_labels(better)} and worse by {_labels(worse)}"
         disagree = "margin and risk disagree: " if MARGIN in (*better, *worse) else ""
-        return [f"{between} compare inconclusively: {disagree}the second is {said}"]
+        return [f"inconclusive: {disagree}{second} is {said} than {first}"]
     if held.opposed:
         sure, unsure = ("better", "worse") if better else ("worse", "better")
-        said = f"{sure} by {_labels(better or worse)}, and {unsure} by the estimate of {_labels(held.opposed)}"
-        return [f"{between} compare inconclusively: the second is {said}, which is not significant"]
+        said = f"{sure} than {first} by {_labels(better or worse)}, but its {_labels(held.opposed)} looks {unsure}"
+        return [f"inconclusive: {second} is {said}, if not significantly"]
     judge = held.judged_by
     if (better or worse) and judge is not None and not held.votes[judge]:
-        return [f"{between} differ by {_labels(better or worse)}, and not significantly by {AT_THE_TOP[judge].label}"]
+        side, by = "better" if better else "worse", _labels(better or worse)
+        return [f"{second} is {side} than {first} by {by}; {AT_THE_TOP[judge].label} does not differ significantly"]
     return []
 
 
@@ -377,9 +379,8 @@ def _of_the_judge(held: Comparison) -> list[str]:
         if _unlike_budgets(*both):
             budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
             found.append(
-                f"the searches for the margins of {held.first.folder} and {held.second.folder} stopped at {budgets} "
-                f"candidates a trial; {100 * CONVERGED_WITHIN:g} % of each margin may be the search's, and the "
-                "interval allows for that"
+                f"the margins of {held.first.folder} and {held.second.folder} were searched with {budgets} "
+                f"candidates a trial: the interval allows for an error of {100 * CONVERGED_WITHIN:g} %"
             )
         tracks = [one.figures["margin_how"] or "" for one in both]
         if tracks[0] != tracks[1]:
@@ -389,8 +390,8 @@ def _of_the_judge(held: Comparison) -> list[str]:
             )
         if held.disagree:
             found.append(
-                f"{held.first.folder} and {held.second.folder} compare inconclusively: margins and planned deviations "
-                "say the opposite of each other"
+                f"inconclusive: margins and planned deviations of {held.first.folder} and {held.second.folder} say the "
+                "opposite of each other"
             )
         return found
     unknown = [(one.folder, one.figures["margin_note"]) for one in both if MARGIN not in one.groups]

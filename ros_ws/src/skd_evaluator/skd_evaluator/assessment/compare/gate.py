@@ -101,7 +101,8 @@ def _check_limit(result: Mapping[str, Any], limit: Limit) -> Check:
         return Check(name, f"{limit.name} is not defined, so it cannot be held against {limit.value:g}", error=True)
     beyond = not limit.is_kept_by(value)
     side = "below" if value < limit.value else "above" if value > limit.value else "at"
-    text = f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
+    text = f"{limit.name} is {value:.3g}, {side} {limit.value:g}"
+    text = text if f"{value:.3g}" != f"{limit.value:.3g}" else f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
     if bound is not None and not beyond and not limit.is_kept_by(bound.beyond):
         return Check(name, f"{text}; {bound.why}", error=True)
     return Check(name, text, failed=beyond)
@@ -130,7 +131,8 @@ def not_worse(mine: StoredResult, earlier: StoredResult, remarks: Iterable[str] 
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, mine)
     judge = found.behind_by or found.decided_by
-    beside = "".join(f"; {line}" for line in dict.fromkeys((*earlier.remarks, *remarks, *found.lines())))
+    lines = (*earlier.remarks, *remarks, *found.refusals, *found.warnings)
+    beside = "".join(f"; {line}" for line in dict.fromkeys(lines))
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
         return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)

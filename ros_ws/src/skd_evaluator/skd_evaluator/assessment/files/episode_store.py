@@ -252,9 +252,13 @@ class EpisodeStore:
         """Forget the episodes of a cell; their place is used again."""
         self._ask("DELETE FROM episodes WHERE cell = ?", (cell,))
 
+    def cells(self) -> list[bytes]:
+        """Return of which cells there are episodes."""
+        return [cell for (cell,) in self._ask("SELECT DISTINCT cell FROM episodes")]
+
     def keep_only(self, cells: Sequence[bytes]) -> None:
         """Forget the episodes of all other cells."""
-        for (cell,) in self._ask("SELECT DISTINCT cell FROM episodes"):
+        for cell in self.cells():
             if cell not in cells:
                 self.drop(cell)
 

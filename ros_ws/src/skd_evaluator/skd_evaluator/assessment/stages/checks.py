@@ -31,7 +31,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
 from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods, standing
-from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED, aborted_lines
@@ -53,9 +53,9 @@ _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with warnings: episodes that were aborted, and a user's car that hardly drives."""
     plan = assessment.plan
-    lines = [*aborted_lines(assessment.as_dict()), *missed_periods(plan.controller, assessment.logs)]
+    lines = [*aborted_lines(assessment.as_dict()), *missed_periods(plan.car.label, assessment.logs)]
     if not plan.car.is_own:
-        lines += standing(plan.controller, assessment.nominal_runs)
+        lines += standing(plan.car.label, assessment.nominal_runs)
         if is_own_world(plan.simulator) and len(assessment.reasons) < assessment.episodes:
             lines += driving(plan, context.runner)
     return replace(assessment, warnings=(*assessment.warnings, *lines))
@@ -66,7 +66,7 @@ def run_again(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with a warning if a user's car does not repeat itself in a sample of its episodes."""
     if assessment.plan.car.is_own or context.fresh is None:
         return assessment
-    found = repeatability(assessment.plan.controller, assessment.logs, context.fresh)
+    found = repeatability(assessment.plan.car.label, assessment.logs, context.fresh)
     return replace(assessment, warnings=(*assessment.warnings, *found))
 
 
@@ -141,12 +141,11 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
     begin = NOT_CREDIBLE if hits > FEW_HITS * len(first) else ""
     log, other = changed[0]
     lost = f", aborted then: {other.reason}" if other.outcome == Outcome.ABORTED else ""
+    _, phi, trial = split_episode_id(log.episode.episode_id)
     return (
-        f"{begin}{len(changed)} of {len(first)} episodes went differently when they were run again in another order; "
-        f"in {hits} of them one of the two runs alone has a hit (first: episode {log.episode.episode_id}, mode "
-        f"{log.episode.mode.name.lower()}{lost}): {car} keeps something from one episode to the next, or draws from "
-        "another generator than the one that reset gives it; so its figures depend on the order of the episodes. Let "
-        "reset undo all that an episode leaves, and draw from its rng",
+        f"{begin}{len(changed)} of {len(first)} episodes ended differently in another order, {hits} of them in a hit "
+        f"in one order alone (first: {log.episode.mode.name.lower()}, φ {phi}, trial {trial}{lost}). {car} keeps "
+        "something between episodes, or draws random numbers of its own: let reset undo it, and draw from rng",
     )
 
 
@@ -194,13 +193,13 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
     except OutOfReachError:
         raise
     except AssessmentError as error:
-        return (f"{NOT_CREDIBLE}{UNDISTURBED}{plan.controller} failed: {error}",)
+        return (f"{NOT_CREDIBLE}{UNDISTURBED}{plan.car.label} failed: {error}",)
     slow = [drive for drive in drives if drive.slows]
     if not slow:
         return ()
     first, last = slow[len(slow) // 2]
     line = (
-        f"{UNDISTURBED}{plan.controller} slows from {first:.1f} to {last:.1f} m/s in {len(slow)} of {len(drives)} "
+        f"{UNDISTURBED}{plan.car.label} slows from {first:.1f} to {last:.1f} m/s in {len(slow)} of {len(drives)} "
         f"drives of {_SECONDS:g} s"
     )
     least = plan.scenario.collision.hit_speed

@@ -41,7 +41,7 @@ WHOLE_EPISODE_TRIALS = 5
 """Trials on each φ whose margin is searched by whole episodes."""
 HELD_COMMANDS_TRIALS = 1
 """The same where the car does not answer each state, as in real time."""
-NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
+NEEDS_THE_CAR = "recordings alone do not give it; skd assess does, with the car"
 NOT_REQUESTED = "--margin-limit 0: the margin was not requested"
 
 

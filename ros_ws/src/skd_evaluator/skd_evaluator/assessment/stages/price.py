@@ -81,7 +81,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     context.progress(LABEL, 1, 1)
     if price is None:
         return _not_known(assessment, "all harmless runs were aborted")
-    lines = () if plan.car.is_own else warnings(plan.controller, price)
+    lines = () if plan.car.is_own else warnings(plan.car.label, price)
     return replace(assessment, price=price, warnings=(*assessment.warnings, *lines))
 
 
@@ -97,8 +97,8 @@ def warnings(car: str, price: PriceOfCaution) -> tuple[str, ...]:
         "price of caution is of the others",
     )
     stuck = (
-        f"{car} does not get past people who are not in its path in {price.deadlocks} of {len(price.runs)} runs of "
-        f"{HORIZON:g} s: the room that it leaves may be due to that",
+        f"{car} is often stuck: in {price.deadlocks} of {len(price.runs)} runs of {HORIZON:g} s it does not get past "
+        "people who are not in its path",
     )
     return (*(lost if price.aborted else ()), *(stuck if price.does_not_get_past else ()))
 

@@ -86,8 +86,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     if arguments.graph:
         prepare_ros(graph_options(arguments))
-    if arguments.resume and arguments.out is None:
-        raise UsageError("--resume needs --out: the folder of the assessment to go on with")
+    _check_resume(arguments)
     out = result_folder(arguments)
     command = arguments.controller_command or ""
     assessment = Assessment(plan, provenance=provenance(arguments.command_line, plan.car, controller_command=command))
@@ -106,6 +105,27 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     finally:
         kept.close(done=done)
     return print_result(assessment, out, arguments, gate, problem)
+
+
+def _kept_in(out: Path) -> Path:
+    """Return the hidden file beside the results in which episodes are kept until these are written."""
+    return out.with_name(f"{PREFIX}{out.name}.sqlite")
+
+
+def _check_resume(arguments: argparse.Namespace) -> None:
+    """Refuse to resume what is not there or complete, and to begin anew without a word what was interrupted."""
+    if arguments.out is None:
+        if arguments.resume:
+            raise UsageError("--resume needs --out: the folder of the assessment to go on with")
+        return
+    out = Path(arguments.out)
+    kept = _kept_in(out).is_file()
+    if arguments.resume and not kept:
+        complete = (out / "assessment.json").is_file() and not arguments.overwrite
+        why = "it is complete" if complete else "no interrupted assessment is kept"
+        raise UsageError(f"--resume: nothing to go on with in --out {out}: {why}")
+    if kept and not (arguments.resume or arguments.overwrite):
+        raise UsageError(f"--out {out}: was interrupted; --resume goes on with it, --overwrite begins anew")
 
 
 def requested(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -200,30 +220,29 @@ def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, 
 
 
 class _KeptEpisodes:
-    """Episodes that are kept as soon as they have run, in a hidden file beside the results, until these are written."""
+    """Episodes that are kept as soon as they have run, until the results are written."""
 
     def __init__(self, arguments: argparse.Namespace, assessment: Assessment, out: Path) -> None:
         """Open the file, or begin it.
 
         Raises:
-            UsageError: --resume is given, and there is none, or it is of another car or version.
+            UsageError: --resume is given, and what is kept is of another request, car or version.
         """
         from skd_evaluator.assessment.files.episode_store import EpisodeStore, digest_of, remove_files
         from skd_evaluator.provenance import code_digests, environment
 
-        self._path, self._arguments, self._out = out.with_name(f"{PREFIX}{out.name}.sqlite"), arguments, out
-        if arguments.resume and not self._path.is_file():
-            raise UsageError(f"--resume: no interrupted assessment is kept for --out {out}")
+        self._arguments, self._out = arguments, out
+        path, plan = _kept_in(out), assessment.plan
         if not arguments.resume:
-            remove_files(self._path)
-        files = code_digests(assessment.plan.car, arguments.controller_command or "")
-        self._key = digest_of({"files": files, "environment": dict(environment())})
-        self._store = EpisodeStore(self._path)
-        count = self._store.count()
-        self._store.keep_only([self._key])
-        if count and not self._store.count():
-            self._store.remove()
-            raise UsageError(f"--resume: {out} was begun with other files of the car or another SKD; begin anew")
+            remove_files(path)
+        files = code_digests(plan.car, arguments.controller_command or "")
+        request = {key: str(value) for key, value in vars(plan).items() if key != "scenario"}
+        request["scenario"] = digest_of(plan.scenario.as_dict()).hex()
+        self._key = digest_of({"files": files, "environment": dict(environment()), "request": request})
+        self._store = EpisodeStore(path)
+        if self._store.cells() not in ([], [self._key]):
+            self._store.close()
+            raise UsageError(f"--resume: {out} was begun with other options, another SKD or other files of the car")
 
     def runner(self, runner: Runner) -> Runner:
         """Return a runner that reads what there is, and keeps what it runs."""
@@ -239,13 +258,14 @@ class _KeptEpisodes:
         """Say in one line how to go on, and return the exit code."""
         from skd_evaluator.report.repeat import program
 
-        words = [word for word in self._arguments.command_line if word not in ("--overwrite", "--resume")]
+        words = [word for word in self._arguments.command_line if word != "--resume"]
         words += [] if self._arguments.out else ["--out", str(self._out)]
         go_on = shlex.join([program(), *words[1:], "--resume"])
         if self._arguments.json:
             print_json({"interrupted": True, "episodes": self._store.count(), "resume": go_on})
         kept = self._count()
-        again = f"{kept}, the margin's search begins anew; go on with: {go_on}" if kept else "nothing to keep yet"
+        anew = "" if self._arguments.graph else ", but for the margin's search"
+        again = f"{kept}{anew}; go on with: {go_on}" if kept else "nothing to keep yet"
         say(self._arguments.command, f"interrupted; {again}")
         return EXIT_INTERRUPTED
 

@@ -46,6 +46,9 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.report.html.page import render
     from skd_evaluator.report.html.subjects import read_subjects
 
+    for option in ("episode", "failures", "objective"):
+        if getattr(arguments, option) is not None:
+            raise UsageError(f"--{option} goes with --format png, gif or mp4: the page has a player of all episodes")
     out = _target(output_path(arguments), overwrite=arguments.overwrite)
     subjects = read_subjects(arguments.paths)
     with understood(arguments.paths[0] if len(subjects) == 1 else Path("a result")):

@@ -30,7 +30,8 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="look")
     actions = ("list", "show", "check", "campaign")
-    add_value(parser, "action", f"what to do: {', '.join(actions)}", choices=actions, metavar="ACTION")
+    text = f"what to do: {', '.join(actions)} (default: list)"
+    add_value(parser, "action", text, choices=actions, metavar="ACTION", nargs="?", default="list")
     add_value(parser, "names", "names or files of scenarios", nargs="*", metavar="NAME")
     text = "with campaign, test speeds of the car, km/h, as 10:60:10"
     add_value(parser, "--speeds", text, type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP")

@@ -53,10 +53,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _lines(one: Verified) -> list[str]:
     lines = [f"{one.folder}: {'fine' if one.fine else 'NOT FINE'}"]
     lines += _some([f"  {name}: {what}" for name, what in (one.files or {}).items()])
-    lines.append(f"  {len(one.agree)} figures recomputed, and as said")
+    lines += [f"  {len(one.agree)} figures recomputed, all as stored"] if one.agree else []
     lines += _some([f"  contradicted: {line}" for line in one.contradict])
     lines += _some([f"  wrong: {line}" for line in one.problems])
-    lines += [f"  not recomputed: {', '.join(one.unknown)}"] if one.unknown else []
+    lines += [f"  {len(one.unknown)} further keys cannot be recomputed; --json names them"] if one.unknown else []
     return [*lines, *(f"  {line}" for line in one.remarks)]
 
 

@@ -243,6 +243,7 @@ class _Search:
             numbers = [trial.episode.episode_id for trial in group.trials]
             group.goals = [budget * (DEEPER if number in deeper else 1) for number in numbers]
         what = f"{DEEPER * budget} candidates in {len(deeper)} trials" if deeper else f"{budget} candidates a trial"
+        what = what if budget else "trajectories of the other car"
         self._groups = self._rounds(self._groups, what)
         reasons = [reason for group in self._groups for reason in group.reasons]
         if len(reasons) == sum(trial.driven for trial in self._trials):

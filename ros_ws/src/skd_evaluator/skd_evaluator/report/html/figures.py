@@ -96,7 +96,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
         named = ", ".join(left) if len(left) <= _FEW else counted(len(left), "car")
         found.append(f"The margin is not known of {named}, which no other figure ranks beside those that have one.")
     if len({one.safe_key for one in subjects}) > 1:
-        found.append("The assessments are over different φ: metres compare only within the same φ.")
+        found.append("Not all assessments are on the same φ: margins compare only where they are.")
     elif len(groups) > 1:
         found.append("η_max, or what the adversary knew or planned for, differ: such figures do not compare.")
     return found
@@ -119,20 +119,20 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         if _overlap(low.figures[f"{key}_ci95"], high.figures[f"{key}_ci95"])
     ]
     text = (
-        f"Of {counted(len(ranked), 'assessment')} over the same φ{which}, {last.label} has the greatest {name} "
+        f"Of {counted(len(ranked), 'assessment')} on the same φ{which}, {last.label} has the greatest {name} "
         f"({_bounded(last, key)}) and {first.label} the least ({_bounded(first, key)})."
     )
     if out := [one.label for one in members if does_not_get_past(one.figures)]:
-        text += f" Not called safer, for they do not get past people: {', '.join(out)}."
+        text += f" Often stuck at harmless people, so not called safer: {', '.join(out)}."
     known = all(one.figures[f"{key}_ci95"] for one in members)
     if close and len(members) == 2:
         text += f" Their intervals by φ {'overlap' if known else 'are not known'}; skd compare judges such pairs."
     elif close:
         named = f": {'; '.join(close)}" if len(close) <= _FEW else ""
         text += (
-            f" Of {len(members) - 1} pairs of neighbours, {len(close)} have intervals by φ that overlap"
-            f"{'' if known else ', or none'}{named}; skd compare judges such pairs."
+            f" {len(close)} of {len(members) - 1} neighbours {'overlap' if known else 'cannot be told apart'}{named}."
         )
+        text += " skd compare judges such pairs."
     return text
 
 
