@@ -53,7 +53,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
 
     found = assessed(decide)
     (line,) = figure_warnings(found.as_dict())
-    assert "'two' was hit in 100 % of 20 runs" in line
+    assert "1 of 2 safe trajectories is not safe with this car, as two: 100 % of the runs" in line
     rows = found.as_dict()["per_safe_trajectory"]
     assert [(row["contact_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
         (0.0, 20, True),

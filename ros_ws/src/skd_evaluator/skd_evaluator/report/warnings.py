@@ -85,7 +85,7 @@ def _of_margin(result: Result) -> Iterator[str]:
     if hit and beyond == trials:
         yield (
             f"the {trials} trials of the margin have no hit within η_max, but {counted(hit, 'other episode')} ended in "
-            "one: give a greater --kamikaze-count or eta_max"
+            "a hit: give a greater --kamikaze-count or eta_max"
         )
     elif result["margin_ci95"] is not None and result["margin_ci95"][1] - result["margin_ci95"][0] < _NO_WIDTH:
         yield (

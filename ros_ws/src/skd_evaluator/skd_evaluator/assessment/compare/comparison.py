@@ -211,7 +211,8 @@ class Comparison:
 
     def lines(self) -> list[str]:
         """Return everything that has to be said beside the verdict, a line each."""
-        return [*self.refusals, *([self.planned_refusal] if self.planned_refusal else []), *self.warnings]
+        of_plans = self.planned_refusal if MARGIN not in self.differences else ""
+        return [*self.refusals, *([of_plans] if of_plans else []), *self.warnings]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of comparison.json."""
