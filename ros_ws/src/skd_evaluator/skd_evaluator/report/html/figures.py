@@ -129,10 +129,8 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         text += f" Their intervals by φ {'overlap' if known else 'are not known'}; skd compare judges such pairs."
     elif close:
         named = f": {'; '.join(close)}" if len(close) <= _FEW else ""
-        text += (
-            f" {len(close)} of {len(members) - 1} neighbours {'overlap' if known else 'cannot be told apart'}{named}."
-        )
-        text += " skd compare judges such pairs."
+        apart = "overlap" if known else "cannot be told apart"
+        text += f" {len(close)} of {len(members) - 1} neighbours {apart}{named}; skd compare judges such pairs."
     return text
 
 
