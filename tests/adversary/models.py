@@ -1,4 +1,4 @@
-"""Small POMDPs whose answers are known: for the tests of belief and planner.
+"""Small POMDPs whose answers are known, for the tests of belief and planner; and episodes of the crossing.
 
 Compiled functions belong to a module: the planner's cache knows them by it.
 """
@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from problems import tiger as benchmark
 from problems.tiger import LISTEN, TigerParameters
+from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.contact import first_contact
 
 # --- Tiger, with discrete hearing or with Gaussian hearing of ±1
 
@@ -98,3 +100,36 @@ def ring(**parameters: Any) -> Pomdp:
         rollout_action=ring_rollout,
         reinvigorate=ring_reinvigorate,
     )
+
+
+# --- an episode of the crossing
+
+
+class Walk(NamedTuple):
+    """How an episode of a model of the crossing went; contact is a share of the last tick, infinite without one."""
+
+    positions: FloatArray
+    earned: float
+    terminal: bool
+    contact: float
+    impact: float  # m/s
+
+
+def played(model: Pomdp, rng: np.random.Generator, actions: int, *, by_policy: bool) -> Walk:
+    """Play a model by its default policy or by random actions; the path ends where road user and car touch."""
+    p, state, after = model.parameters, np.empty(model.state_dim), np.empty(model.state_dim)
+    model.initial(p, state, rng)
+    walked, earned, terminal, share, impact = [state[:2].copy()], 0.0, False, math.inf, math.nan
+    for _ in range(40):
+        action = model.rollout_action(p, state, rng) if by_policy else int(rng.integers(actions))
+        reward, terminal = model.step(p, state, action, after, rng)
+        earned += reward
+        x, y = state[:2]
+        ahead, behind = y - state[CAR_S], after[1] - after[CAR_S]
+        share = first_contact(ahead, -x, behind, -after[0], p.front, p.rear, p.half_width, p.radius)
+        impact = state[CAR_SPEED] + min(1.0, share) * (after[CAR_SPEED] - state[CAR_SPEED])
+        walked.append(state[:2] + min(1.0, share) * (after[:2] - state[:2]))
+        if terminal:
+            break
+        state, after = after, state
+    return Walk(np.array(walked), earned, terminal, share, impact)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from models import played
 from recorded_cars import a_car
 from skd_adversary.crossing.cars import FITTED_STATE_DIM, WAITING_REWARD, LearnedCar, known_basic_car, unknown_car
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM
@@ -18,7 +19,6 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.contact import first_contact
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
@@ -48,55 +48,35 @@ def strayed(log: EpisodeLog) -> float:
 
 
 def by_hand(walked: np.ndarray, share: float) -> float:
-    """The greatest distance from BENT at 200 times of each tick."""
-    most = 0.0
-    for tick in range(len(walked) - 1):
-        last = tick == len(walked) - 2
-        for s in np.linspace(0.0, share if last else 1.0, 200):
-            there = [np.interp(tick + s, np.arange(len(BENT)), BENT[:, axis]) for axis in range(2)]
-            within = s / share if last and share > 0.0 else s
-            here = walked[tick] + within * (walked[tick + 1] - walked[tick])
-            most = max(most, math.dist(here, there))
-    return most
+    """The greatest distance from BENT at 200 times of each tick, of which the last is a share of one."""
+    ticks = np.arange(len(walked) - 1)
+    own = (ticks[:, None] + np.linspace(0.0, 1.0, 200)).ravel()
+    times = own.copy()
+    times[-200:] = ticks[-1] + share * (own[-200:] - ticks[-1])
+    here = [np.interp(own, np.arange(len(walked)), walked[:, axis]) for axis in range(2)]
+    there = [np.interp(times, np.arange(len(BENT)), BENT[:, axis]) for axis in range(2)]
+    return float(np.hypot(*(np.array(here) - np.array(there))).max())
 
 
 @pytest.mark.parametrize("limit", [None, 1.0])
 @pytest.mark.parametrize(("known", "fitted"), [(True, False), (False, False), (True, True)])
 def test_return_of_a_collision_is_its_reward_less_the_deviation(limit: float | None, known: bool, fitted: bool):
     """Play the model with the default policy and with random actions; measure ψ at many times of each tick."""
-    model = a_model(limit, known=known, fitted=fitted)
-    p, rng = model.parameters, np.random.default_rng(1)
+    model, rng = a_model(limit, known=known, fitted=fitted), np.random.default_rng(1)
     collisions = beyond = walked_into = 0
     for episode in range(60):
-        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
-        model.initial(p, state, rng)
-        walked, earned, terminal, contact = [state[:2].copy()], 0.0, False, math.inf
-        for _ in range(40):
-            action = model.rollout_action(p, state, rng) if episode % 2 else int(rng.integers(ACTION_COUNT + 1))
-            reward, terminal = model.step(p, state, action, after, rng)
-            earned += reward
-            x, y = state[:2]
-            contact = first_contact(
-                y - state[CAR_S], -x, after[1] - after[CAR_S], -after[0], p.front, p.rear, p.half_width, p.radius
-            )
-            impact = (1.0 - min(1.0, contact)) * state[CAR_SPEED] + min(1.0, contact) * after[CAR_SPEED]
-            walked.append(state[:2] + min(1.0, contact) * (after[:2] - state[:2]))
-            if terminal:
-                break
-            state, after = after, state
+        walked, earned, terminal, contact, impact = played(model, rng, ACTION_COUNT + 1, by_policy=bool(episode % 2))
         spent = WAITING_REWARD * max(0, len(walked) - len(BENT))
-        distance = by_hand(np.array(walked), min(1.0, contact))
+        distance = by_hand(walked, min(1.0, contact))
         if contact <= 1.0 and distance <= (limit or math.inf) and not CROSSING.collision.is_hit(impact):
             walked_into += 1
             assert terminal
             assert earned == pytest.approx(spent, abs=1e-12)
         elif contact <= 1.0 and distance <= (limit or math.inf):
             collisions += 1
-            assert earned == pytest.approx(
-                spent + CROSSING.eta_max - distance, abs=0.02
-            )  # what 1/200 of a tick changes
-            exact = deviation(BENT, np.array(walked), len(walked) - 2 + contact)
-            assert earned == pytest.approx(spent + CROSSING.eta_max - exact, abs=1e-9)
+            gained = spent + CROSSING.eta_max
+            assert earned == pytest.approx(gained - distance, abs=0.02)  # what 1/200 of a tick changes
+            assert earned == pytest.approx(gained - deviation(BENT, walked, len(walked) - 2 + contact), abs=1e-9)
         else:
             beyond += distance > (limit or math.inf)
             assert earned <= spent + 1e-12

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from models import played
 from similaritymeasures import frechet_dist
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
-from skd_adversary.crossing.interfaces import CAR_S
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
 from skd_adversary.crossing.path import first_row, next_row
 from skd_adversary.crossing.road_users import ACTION_COUNT
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.contact import first_contact
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.4, 0.5), (-0.7, 0.5), (0.1, 0.0), (0.9, 0.0), (2.4, 0.0)])
@@ -34,30 +33,12 @@ def _model(limit: float | None = None, *, known: bool = True) -> Pomdp:
 @pytest.mark.parametrize("limit", LIMITS)
 def test_return_of_a_collision_is_its_reward_less_the_frechet_distance(limit: float | None, known: bool) -> None:
     """Play the model with the default policy and with random actions; measure ψ with another library."""
-    model = _model(limit, known=known)
-    p = model.parameters
-    rng = np.random.default_rng(1)
+    model, rng = _model(limit, known=known), np.random.default_rng(1)
     collisions = beyond = 0
     for episode in range(300):
-        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
-        model.initial(p, state, rng)
-        walked, earned, terminal = [state[:2].copy()], 0.0, False
-        for _ in range(40):
-            action = model.rollout_action(p, state, rng) if episode % 2 else int(rng.integers(ACTION_COUNT))
-            reward, terminal = model.step(p, state, action, after, rng)
-            earned += reward
-            walked.append(after[:2].copy())
-            x, y = state[:2]
-            contact = first_contact(
-                y - state[CAR_S], -x, after[1] - after[CAR_S], -after[0], p.front, p.rear, p.half_width, p.radius
-            )
-            if contact <= 1.0:
-                walked[-1] = walked[-2] + contact * (walked[-1] - walked[-2])
-            if terminal or contact <= 1.0:
-                break
-            state, after = after, state
+        walked, earned, terminal, contact, _ = played(model, rng, ACTION_COUNT, by_policy=bool(episode % 2))
         spent = FRECHET_REWARDS["step_reward"] * (len(walked) - 1)
-        distance = frechet_dist(BENT, np.array(walked))
+        distance = frechet_dist(BENT, walked)
         if terminal and contact <= 1.0 and distance <= (limit or np.inf):
             collisions += 1
             assert earned == pytest.approx(spent + FRECHET_REWARDS["collision_reward"] - distance, abs=1e-9)
