@@ -59,7 +59,7 @@ def test_dialects(tmp_path: Path, text: str) -> None:
         ("t,x,y\n0,-3.5,0\n\n1,nan,0\n", "line 4: x must be finite, got nan"),
         ("t,x,y\n0,-3.5,1e300\n1,2,0\n", "line 2: y must lie within ±1e+06"),
         ("t,x,y\n0,-3.5,0\n1,0,0\n1,2,0\n", "line 4: t must increase strictly, got 1 after 1"),
-        ("t,x,y\n0,-3.5,0\n", "1 points; a safe trajectory needs at least two points"),
+        ("t,x,y\n0,-3.5,0\n", "1 points; a track needs at least two points"),
         ("t,x,y\n0,-1.2,0\n0.2,1.15,0\n", "a safe trajectory needs at least two points"),
         ("t,x,y\n0,-3.5,0\n50,2,0\n", "line 3: lasts 50 s, longer than the scenario's horizon of 12 s"),
         ("t,x,y\n0,-3.5,0\n3,-1.5,0\n", "never enters the car's path"),

@@ -125,6 +125,28 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
     return safe_trajectory(values[:, 0], values[:, 1:], scenario, path, lines)
 
 
+def check_track(times: FloatArray, positions: FloatArray, kind: str, path: Path, lines: IntArray) -> None:
+    """Refuse a track of fewer than two points, whose times do not increase, or that is too fast for its kind.
+
+    Arguments are those of `safe_trajectory`, with the kind of road user.
+
+    Raises:
+        UsageError: it is so.
+    """
+    if len(times) < 2:
+        raise UsageError(f"{path}: {len(times)} points; a track needs at least two points")
+    wrong = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(wrong):
+        before, at = wrong[0], wrong[0] + 1
+        got = f"{times[at]:.15g} after {times[before]:.15g}"
+        raise UsageError(f"{path}, line {lines[at]}: t must increase strictly, got {got}")
+    user = road_user_named(kind)
+    found = too_fast(times, positions, user.fastest)
+    if found:
+        limit = f"a {user.name} moves at most {user.fastest:g} m/s: are t in s, and x and y in m, without jumps?"
+        raise UsageError(f"{path}, line {lines[found[0]]}: {found[1]}; {limit}")
+
+
 def safe_trajectory(
     times: FloatArray, positions: FloatArray, scenario: Scenario, path: Path, lines: IntArray
 ) -> Trajectory:
@@ -142,18 +164,7 @@ def safe_trajectory(
             the horizon, moves faster than its kind can, does not cross the car's path to the side of its destination,
             or starts where the car does.
     """
-    if len(times) < 2:
-        raise UsageError(f"{path}: {len(times)} points; a safe trajectory needs at least two points")
-    wrong = np.flatnonzero(np.diff(times) <= 0.0)
-    if len(wrong):
-        before, at = wrong[0], wrong[0] + 1
-        got = f"{times[at]:.15g} after {times[before]:.15g}"
-        raise UsageError(f"{path}, line {lines[at]}: t must increase strictly, got {got}")
-    user = road_user_named(scenario.adversary.kind)
-    found = too_fast(times, positions, user.fastest)
-    if found:
-        limit = f"a {user.name} moves at most {user.fastest:g} m/s: are t in s, and x and y in m, without jumps?"
-        raise UsageError(f"{path}, line {lines[found[0]]}: {found[1]}; {limit}")
+    check_track(times, positions, scenario.adversary.kind, path, lines)
     duration = float(times[-1] - times[0])
     trajectory = Trajectory(resample(times, positions, scenario.time_step), scenario.time_step, path.stem)
     if duration > scenario.horizon or len(trajectory) < 2:

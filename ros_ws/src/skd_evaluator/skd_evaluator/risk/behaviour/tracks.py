@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories.citr import FRAME_RATE, is_citr, read_clips, world_frame
-from skd_adversary.safe_trajectories.recordings import LONGEST_HOLE, check_once, read_table, resample, too_fast
+from skd_adversary.safe_trajectories.recordings import LONGEST_HOLE, check_once, read_table, resample
+from skd_adversary.safe_trajectories.sources import check_track
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.state import Trajectory
@@ -122,14 +122,8 @@ def _tracks_of(path: Path, damage: Damage, kind: str, phis: dict[bytes, Tracked]
 
 def _of_csv(path: Path, kind: str) -> Tracked:
     values, lines = read_table(path, _COLUMNS)
-    wrong = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
-    if len(values) < 2 or len(wrong):
-        line = lines[wrong[0] + 1] if len(wrong) else 1
-        raise UsageError(f"{path}, line {line}: a track needs at least two rows, and t must increase strictly")
     times = values[:, 0]
-    found = too_fast(times, values[:, 1:], road_user_named(kind).fastest)
-    if found:
-        raise UsageError(f"{path}, line {lines[found[0]]}: {found[1]}: is t in s, are x and y in m, without jumps?")
+    check_track(times, values[:, 1:], kind, path, lines)
     hole = int(np.argmax(np.diff(times)))
     if times[hole + 1] - times[hole] > LONGEST_HOLE + 1e-9:
         raise UsageError(
@@ -138,7 +132,7 @@ def _of_csv(path: Path, kind: str) -> Tracked:
         )
     if times[-1] - times[0] > LONGEST * TIME_STEP:
         raise UsageError(f"{path}: lasts {times[-1] - times[0]:.4g} s, more than {LONGEST * TIME_STEP:g} s; cut it")
-    return Tracked(path.stem, path.stem, resample(values[:, 0], values[:, 1:], TIME_STEP))
+    return Tracked(path.stem, path.stem, resample(times, values[:, 1:], TIME_STEP))
 
 
 def _recorded_phi(path: Path, damage: Damage, known: dict[bytes, Tracked]) -> list[Tracked]:
