@@ -71,32 +71,24 @@ def driven(speed: float, begins: float, deceleration: float, time: float) -> flo
     return speed * min(time, begins) + speed * braking - 0.5 * deceleration * braking**2
 
 
-@pytest.mark.parametrize("name", CROSSING)
+UNBRAKED = {
+    **{name: (speeds, None) for name, (speeds, *_) in CROSSING.items()},
+    **{name: (speeds, None) for name, speeds in TURNING.items()},
+    **{name: ([one for one in speeds if one * KMH > target], 4.65) for name, (speeds, target, _) in ALONG.items()},
+    "ccfhol": ((30, 50, 100), 5.15),
+}
+"""Speeds, and when (s) who is in the lane is met: 1.5 s before 3 s, or the end of the change, and half of a tick."""
+
+
+@pytest.mark.parametrize("name", UNBRAKED)
 def test_unbraked_the_target_is_met_at_its_impact_place(name: str) -> None:
-    for kmh in CROSSING[name][0]:
+    speeds, time = UNBRAKED[name]
+    for kmh in speeds:
         for one in static_tests_of(name, kmh):
             assert one.touched
             assert one.impact_place == pytest.approx(one.place, abs=1.0)
             assert one.impact_speed == pytest.approx(kmh * KMH)
-
-
-@pytest.mark.parametrize("name", TURNING)
-def test_unbraked_a_car_that_turns_or_is_crossed_meets_its_target_there(name: str) -> None:
-    for kmh in TURNING[name]:
-        for one in static_tests_of(name, kmh):
-            assert one.touched
-            assert one.impact_place == pytest.approx(one.place, abs=1.0)
-
-
-@pytest.mark.parametrize("name", ALONG)
-def test_unbraked_a_target_in_the_lane_is_met_at_its_impact_place(name: str) -> None:
-    for kmh in ALONG[name][0]:
-        if kmh * KMH <= ALONG[name][1]:
-            continue
-        for one in static_tests_of(name, kmh):
-            assert one.touched
-            assert one.impact_place == pytest.approx(one.place, abs=1.0)
-            assert one.log.impact_time == pytest.approx(4.65, abs=0.01)  # s: 4.5, and half of a tick
+            assert time is None or one.log.impact_time == pytest.approx(time, abs=0.01)
 
 
 # Curvature (1/m) and length (m) of the parts of the target's path at 50 and at 70 km/h: Vector's OSC-NCAP-scenarios,
@@ -133,14 +125,6 @@ def test_who_changes_lanes_goes_as_the_published_path_does(kmh: int) -> None:
     assert way.positions[last:, 0] == pytest.approx(0.0, abs=1e-9)
     begins = max(0, round((ends - 3.168) / 0.01))
     assert way.positions[begins, 0] == pytest.approx(-3.5, abs=1e-4)
-
-
-def test_unbraked_who_changes_lanes_is_met_at_its_impact_place() -> None:
-    for kmh in (30, 50, 100):
-        for one in static_tests_of("ccfhol", kmh):
-            assert one.touched
-            assert one.impact_place == pytest.approx(one.place, abs=1.0)
-            assert one.log.impact_time == pytest.approx(5.15, abs=0.01)
 
 
 @pytest.mark.parametrize("name", CROSSING)
