@@ -20,7 +20,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
+from functools import partial
 from types import TracebackType
 from typing import Any, Final, NamedTuple, NoReturn, Self, TypeVar
 
@@ -79,14 +80,10 @@ def do(work: Callable[[Any], Any], items: Sequence[Any]) -> Done:
     results: list[Any] = []
     error, begin = None, time.perf_counter()
     try:
-        results.extend(_run_all_and_send(items) if work is _run_and_send else map(work, items))
+        results.extend(_run_each(items) if work is _run_here else map(work, items))
     except BaseException as raised:  # whatever a user's code raises
         error = portable(raised)
     return Done(results, error, (time.perf_counter() - begin) / max(1, len(results) + (error is not None)))
-
-
-def _do_again(chunk: tuple[Callable[[Any], Any], Sequence[Any]]) -> Done:
-    return do(*chunk)
 
 
 @dataclass(frozen=True)
@@ -116,21 +113,7 @@ class Pace:
         return max(1, min(int(self.target / seconds), max(fair, int(self.least / seconds)), remaining))
 
 
-_SENT: Final = [field.name for field in fields(EpisodeLog) if field.name != "episode"]
-
-
-def _sent(log: EpisodeLog) -> tuple[Any, ...]:
-    """Return the fields of a log without its episode: the caller has it, so φ and scenario are not sent back."""
-    return tuple(getattr(log, name) for name in _SENT)
-
-
-def _run_and_send(episode: EpisodeSpec) -> tuple[Any, ...]:
-    """Run an episode; see `_run_all_and_send`."""
-    (sent,) = _run_all_and_send([episode])
-    return sent
-
-
-def _run_all_and_send(episodes: Sequence[EpisodeSpec]) -> Iterator[tuple[Any, ...]]:
+def _run_each(episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
     """Run episodes; those with user code run in a child process, and one whose child is lost is aborted."""
     for whose, some in itertools.groupby(episodes, _code_of_others):
         yield from isolated_each(whose, _run_here, list(some), _lost_episode)
@@ -141,12 +124,17 @@ def _code_of_others(episode: EpisodeSpec) -> str:
     return ", ".join(filter(None, (episode.car.user_code, simulator)))
 
 
-def _run_here(episode: EpisodeSpec) -> tuple[Any, ...]:
+def _run_here(episode: EpisodeSpec) -> EpisodeLog:
     return _sent(run_episode(episode))
 
 
-def _lost_episode(episode: EpisodeSpec, reason: str) -> tuple[Any, ...]:
+def _lost_episode(episode: EpisodeSpec, reason: str) -> EpisodeLog:
     return _sent(aborted(episode, reason))
+
+
+def _sent(log: EpisodeLog) -> EpisodeLog:
+    """Return a log without its episode: the caller has it, so φ and scenario are not sent back."""
+    return replace(log, episode=None)  # type: ignore[arg-type]
 
 
 def _lost(_item: object, reason: str) -> NoReturn:
@@ -238,10 +226,10 @@ class Workers(ABC):
                 other, or workers are out of reach.
         """
         self._expect(episodes)
-        found = self.map(_run_and_send, episodes, _lost_episode)
+        found = self.map(_run_here, episodes, _lost_episode)
         try:
             for episode, sent in zip(episodes, found, strict=True):
-                yield EpisodeLog(episode, *sent)
+                yield replace(sent, episode=episode)
         finally:
             found.close()
 
@@ -388,7 +376,7 @@ class InProcessRunner(Workers):
         """Yield the results of items in a process apart: all in one if that survives, or else each by itself."""
         for chunk in (items, *([one] for one in items)) if len(items) > 1 else (items,):
             try:
-                done: Done = isolated("worker", _do_again, (work, chunk))
+                done = isolated("worker", partial(do, work), chunk)
             except LostProcessError as loss:
                 if len(chunk) == 1:
                     yield lost(chunk[0], loss.reason)
