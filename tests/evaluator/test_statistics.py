@@ -73,14 +73,7 @@ def test_bound_holds_for_distributions_of_nonnegative_distances(distribution):
         assert np.mean(sample <= eta) <= frechet_probability_bound(eta, delta, float(distribution.var()))
 
 
-@pytest.mark.parametrize(
-    ("eta", "centre", "variance"),
-    [
-        (0.0, 1.0, 1.0),
-        (1.0, 1.0, 1.0),
-        (0.5, 1.0, -1.0),
-    ],
-)
+@pytest.mark.parametrize(("eta", "centre", "variance"), [(0.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.5, 1.0, -1.0)])
 def test_bound_outside_its_range_is_refused(eta, centre, variance):
     with pytest.raises(ValueError, match=r"must be"):
         frechet_probability_bound(eta, centre, variance)
