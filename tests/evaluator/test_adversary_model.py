@@ -17,7 +17,7 @@ from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
-from skd_evaluator.assessment.stages.car_model import kept_models, learned, model_folder, needs_learning
+from skd_evaluator.assessment.stages.car_model import kept_models, learned, model_file, needs_learning
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
@@ -135,18 +135,17 @@ def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lesso
         first = learned(plan, runner, say=said.append)
         assert not needs_learning(first)
         assert json.loads(first.car_model)["logs"] == 28
-        folder = model_folder(plan, None)
-        assert folder is not None
-        assert folder.parent == kept_models()
-        assert (folder / "car_model.yaml").is_file()
+        file = model_file(plan, None)
+        assert file is not None
+        assert list(kept_models().iterdir()) == [file]
         assert "--adversary-model generic" in said[0]
-        assert str(folder) in said[0]
+        assert str(file) in said[0]
         other_seed = learned(replace(plan, seed=6, simulations=10), _Nobody(), say=said.append)
         assert other_seed.car_model == first.car_model
         day = datetime.datetime.now(datetime.UTC).date()
         today_or_yesterday = {str(day), str(day - datetime.timedelta(days=1))}
         assert said[1].partition("learned before, on ")[2][:10] in today_or_yesterday
-        (folder / "car_model.yaml").write_text("family: none", encoding="utf-8")
+        file.write_text("family: none", encoding="utf-8")
     with InProcessRunner(2) as runner:
         runner.start()
         assert learned(plan, runner).car_model == first.car_model  # what is damaged is learned anew

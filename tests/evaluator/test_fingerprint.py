@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.dask_cluster import _have, sent
-from skd_evaluator.assessment.stages.car_model import model_folder
+from skd_evaluator.assessment.stages.car_model import model_file
 from skd_evaluator.provenance import code_paths
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
@@ -38,7 +38,7 @@ def cars(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def kept(car: CarUnderTest = CAR, command: str | None = None) -> Path | None:
     """Return the folder in which the model of a car is kept."""
     graph = None if command is None else {"controller_command": command}
-    return model_folder(Plan(CROSSING, controller=car.controller, adversary_model=AdversaryModel.LEARNED), graph)
+    return model_file(Plan(CROSSING, controller=car.controller, adversary_model=AdversaryModel.LEARNED), graph)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -333,15 +334,6 @@ BLOCK: Final = 250
 """Crossings side by side; the same on every machine, so that no figure depends on that."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Some crossings, in whatever process."""
-
-    crossing_plan: CrossingPlan
-    crossings: Crossings
-    scale: float
-
-
 def batched_car(crossing_plan: CrossingPlan, runner: Workers) -> BatchedCar | None:
     """Return who runs crossings side by side; None where the car's policy, or the scenario, has them one by one."""
     car = crossing_plan.plan.car
@@ -365,27 +357,26 @@ class BatchedCar:
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings; those of a block that a worker has died of, one by one."""
-        rows = [np.arange(at, min(at + BLOCK, len(crossings))) for at in range(0, len(crossings), BLOCK)]
-        jobs = [_Block(self._crossing_plan, crossings.of(one), scale) for one in rows]
-        parts = []
-        for job, found in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
-            parts.append(
-                AnyCar(self._crossing_plan, self._runner).run(job.crossings, scale) if found is None else found
-            )
-        return Ends.together(parts)
+        blocks = [
+            crossings.of(np.arange(at, min(at + BLOCK, len(crossings)))) for at in range(0, len(crossings), BLOCK)
+        ]
+        found = self._runner.map(partial(_crossed, self._crossing_plan, scale), blocks, _not_crossed)
+        one_by_one = AnyCar(self._crossing_plan, self._runner)
+        pairs = zip(blocks, found, strict=True)
+        return Ends.together([one_by_one.run(block, scale) if ends is None else ends for block, ends in pairs])
 
 
-def _not_crossed(_job: _Block, _reason: str) -> Ends | None:
+def _not_crossed(_block: Crossings, _reason: str) -> Ends | None:
     return None
 
 
-def _crossed(job: _Block) -> Ends | None:
+def _crossed(crossing_plan: CrossingPlan, scale: float, block: Crossings) -> Ends | None:
     try:
-        return isolated(job.crossing_plan.plan.car.user_code, _crossed_here, job)
-    except LostProcessError as error:
-        return _not_crossed(job, error.reason)
+        return isolated(crossing_plan.plan.car.user_code, partial(_crossed_here, crossing_plan, scale), block)
+    except LostProcessError:
+        return None
 
 
-def _crossed_here(job: _Block) -> Ends:
+def _crossed_here(crossing_plan: CrossingPlan, scale: float, block: Crossings) -> Ends:
     """Run crossings side by side."""
-    return ends_of(replayed(AnyCar(job.crossing_plan, None).episodes(job.crossings, job.scale)))
+    return ends_of(replayed(AnyCar(crossing_plan, None).episodes(block, scale)))

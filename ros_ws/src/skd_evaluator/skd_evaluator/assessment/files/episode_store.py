@@ -114,7 +114,6 @@ def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
 
 FILE_NAME = "episodes.sqlite"
 _FORMAT = 4
-_AT_ONCE = 500  # keys in one query
 _TABLE = """
 CREATE TABLE episodes (
     cell BLOB NOT NULL,
@@ -204,15 +203,8 @@ class EpisodeStore:
 
     def known(self, cell: bytes, specifications: Sequence[bytes]) -> set[bytes]:
         """Return which of some specifications there are episodes of."""
-        found: set[bytes] = set()
-        for start in range(0, len(specifications), _AT_ONCE):
-            some = specifications[start : start + _AT_ONCE]
-            marks = ",".join("?" * len(some))
-            rows = self._ask(
-                f"SELECT specification FROM episodes WHERE cell = ? AND specification IN ({marks})", (cell, *some)
-            )
-            found.update(row[0] for row in rows)
-        return found
+        rows = self._ask("SELECT specification FROM episodes WHERE cell = ?", (cell,))
+        return {row[0] for row in rows}.intersection(specifications)
 
     def get(self, cell: bytes, specification: bytes, episode: EpisodeSpec) -> EpisodeLog:
         """Return what happened in an episode that there is.

@@ -6,7 +6,7 @@ budget, so that a model can be kept, and none of their draws is one of a campaig
 
 A model is kept under a digest of all that it follows from: the files of the car, the command that starts it, the
 scenario, how the graph is run, and SKD itself. Where its files are not known, none is kept. SKD cannot see what a
-controller reads elsewhere, from the environment or from a server: if that changes, delete the folder.
+controller reads elsewhere, from the environment or from a server: if that changes, delete the file.
 
 How long kamikazes should wait is tried against the car itself. The search knows what it would see next, and so
 overrates what waiting gains; but with a car that can be hit while it creeps, too much haste costs as much.
@@ -19,7 +19,6 @@ import hashlib
 import importlib.metadata
 import json
 import os
-import shutil
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +28,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from skd_adversary.car_models.car_model_file import FittedCar, car_model_for_scenario, car_model_text, write_car_model
+from skd_adversary.car_models.car_model_file import FittedCar, car_model_text, fitted_car
 from skd_adversary.car_models.fit import learn_car
 from skd_adversary.car_models.observations import RecordedEpisode, observe
 from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
@@ -49,7 +48,6 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.files import make_temporary
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.measures import pair_of
 from skd_evaluator.provenance import code_digests, environment
@@ -108,19 +106,22 @@ def learned(
     if not needs_learning(plan):
         return plan
     with _LEARNING:
-        folder = model_folder(plan, graph)
-        text = None if folder is None else kept_model(folder, plan.scenario)
-        if folder is not None and text is not None:
-            line = f"the car was learned before, on {day_of(folder)} with the same files, kept in {folder}"
+        file = model_file(plan, graph)
+        text = None if file is None else kept_model(file)
+        if file is not None and text is not None:
+            line = f"the car was learned before, on {day_of(file)} with the same files, kept in {file}"
         else:
             begin = time.perf_counter()
-            car = learn(plan, runner, progress, runner if graph is None else InProcessRunner(1))
-            text, seconds = car_model_text(car), time.perf_counter() - begin
-            # Unless files of the car have changed since it began to be learned.
-            kept = folder is not None and model_folder(plan, graph) == folder and keep_model(folder, car)
-            line = f"learned the car from {PROBES} probes and {TRIALS} trials of kamikazes in {seconds:.0f} s" + (
-                f", kept in {folder}" if kept else ", not kept: its files are not known" if folder is None else ""
+            text = car_model_text(learn(plan, runner, progress, runner if graph is None else InProcessRunner(1)))
+            line = (
+                f"learned the car from {PROBES} probes and {TRIALS} trials of kamikazes in "
+                f"{time.perf_counter() - begin:.0f} s"
             )
+            if file is None:
+                line += ", not kept: its files are not known"
+            # Unless files of the car have changed since it began to be learned.
+            elif model_file(plan, graph) == file and keep_model(file, text):
+                line += f", kept in {file}"
     say(f"{line}; --adversary-model generic does without")
     return replace(plan, car_model=text)
 
@@ -279,9 +280,6 @@ def _strayed(log: EpisodeLog) -> float:
     return min(found, episode.scenario.eta_max)
 
 
-_MODEL = "car_model.yaml"
-
-
 def kept_models() -> Path:
     """Return the folder of the models: `skd/car_models` in the user's cache (XDG_CACHE_HOME)."""
     cache = os.environ.get("XDG_CACHE_HOME") or ""
@@ -289,7 +287,7 @@ def kept_models() -> Path:
     return base / "skd" / "car_models"
 
 
-def model_folder(plan: Plan, graph: Mapping[str, Any] | None) -> Path | None:
+def model_file(plan: Plan, graph: Mapping[str, Any] | None) -> Path | None:
     """Return where the model of a plan's car is kept, or would be; None if not all that says which car it is is known.
 
     Args:
@@ -313,36 +311,32 @@ def model_folder(plan: Plan, graph: Mapping[str, Any] | None) -> Path | None:
         "environment": dict(environment()),
     }
     found = hashlib.sha256(json.dumps(follows_from, sort_keys=True).encode())
-    return kept_models() / found.hexdigest()[:32]
+    return kept_models() / f"{found.hexdigest()[:32]}.json"
 
 
-def day_of(folder: Path) -> str:
+def day_of(file: Path) -> str:
     """Return the day (UTC) of which a model is that is kept; empty where there is none."""
     with suppress(OSError, OverflowError):
-        changed = (folder / _MODEL).stat().st_mtime
-        return datetime.datetime.fromtimestamp(changed, datetime.UTC).date().isoformat()
+        return datetime.datetime.fromtimestamp(file.stat().st_mtime, datetime.UTC).date().isoformat()
     return ""
 
 
-def kept_model(folder: Path, scenario: Scenario) -> str | None:
+def kept_model(file: Path) -> str | None:
     """Return the text of a model that is kept; None where there is none, or none that can be read."""
-    with suppress(UsageError, OSError):
-        return car_model_for_scenario(folder, scenario) if folder.is_dir() else None
+    with suppress(ValueError, UsageError, OSError):
+        text = file.read_text(encoding="utf-8")
+        fitted_car(text)
+        return text
     return None
 
 
-def keep_model(folder: Path, car: FittedCar) -> bool:
+def keep_model(file: Path, text: str) -> bool:
     """Keep a model, by one rename of what is complete; return whether that was possible."""
+    part = file.with_suffix(f".{os.getpid()}")
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        made = make_temporary(folder.parent)
-        try:
-            write_car_model(made / _MODEL, car)
-            if folder.is_dir():  # of a run that learned it at the same time, or one that cannot be read
-                shutil.rmtree(folder, ignore_errors=True)
-            made.rename(folder)
-        finally:
-            shutil.rmtree(made, ignore_errors=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+        part.replace(file)
     except OSError:
-        return folder.is_dir()
+        return False
     return True
