@@ -88,7 +88,7 @@ def test_whatever_is_specified_is_in_the_digest():
             {"controller": "cal", "adversary_model": AdversaryModel.GENERIC},
             {"simulations": 7}, {"objective": Objective.FRECHET}, {"particles": 9}, {"maximum_distance": 2.0},
             {"name": "mine"}, {"car_model": "{}", "adversary_model": AdversaryModel.LEARNED},
-            {"simulator": "elsewhere"},
+            {"simulator": "elsewhere"}, {"steers": True},
             {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},
             {"safe_trajectory": dataclasses.replace(ACROSS, name="along")},
             {"scenario": dataclasses.replace(CROSSING, eta_max=4.0)},
