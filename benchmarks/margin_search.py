@@ -1,57 +1,53 @@
 """What the margin's search says of cars, and what many times the effort still finds.
 
-    python benchmarks/margin_search.py [--cars NAME ...] [--scenarios NAME ...] [--seeds N ...] [--trials N] [--times N]
+    python benchmarks/margin_search.py [--cars NAME ...] [--settings NAME ...] [--seeds N ...] [--out FILE]
 
-A row for each car, scenario and seed: the margin that the search says with the effort of an assessment, whether it has
+A row for each car, setting and seed: the margin that the search says with the effort of an assessment, whether it has
 converged, its candidates a trial, its interval's part for the search (the estimated excess, and its standard error),
 and its processor time. Some of the trials, drawn at random, are then searched anew with so many times the candidates
 that a trial has by default. "too high" is the mean of these trials over the mean of the least that is known then: 1
 where nothing less was found. Basic cars, whose margins are exact, are left out. The last lines count.
+
+Rows are kept in a file: what is there is not computed again, so the table can be made in parts.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from cars.catalogue import CARS, Car, available
+from cars.catalogue import CARS, Car
 from cars.memory import MEMORY_CARS
-from skd_evaluator.assessment.options import SYNTHETIC
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import DEEPER, IN_PROCESS, search_margins
-from skd_sim.arrays import FloatArray
+from skd_evaluator.metrics.difference import difference
+from skd_evaluator.metrics.margins import Margins
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeSpec
 
-COLUMNS = "car", "scenario", "seed", "margin (m)", "converged", "budget", "excess (m)", "too high", "CPU (s)"
-
-
-class Row(NamedTuple):
-    """What was found of a car.
-
-    Attributes:
-        margin: m.
-        converged: whether the search says so.
-        budget: candidates a trial.
-        excess: estimated, and its standard error, m; nan: it was not.
-        too_high: margin over what deeper search finds, in the same trials.
-        seconds: processor time of the search.
-    """
-
-    margin: float
-    converged: bool
-    budget: int
-    excess: tuple[float, float]
-    too_high: float
-    seconds: float
+COLUMNS = "car", "setting", "seed", "margin (m)", "converged", "budget", "excess (m)", "too high", "CPU (s)"
+MOST = 65_535
+SETTINGS = {
+    "crossing": ("crossing", "synthetic", MOST),
+    "walkers": ("crossing", "walkers", MOST),
+    "cpna": ("cpna", "regulatory", 7),
+    "cut_in": ("cut_in", "synthetic", MOST),
+    "recorded": ("citr_crossing", "", MOST),
+}
+"""Scenario, φ, and how many there are at most; recorded ones are those of --recorded."""
+SIGNIFICANT = 0.05
+Row = dict[str, Any]
 
 
 def episodes_of(car: Car, seed: int, safe: str, safe_count: int, trials: int) -> list[EpisodeSpec]:
@@ -70,85 +66,114 @@ def episodes_of(car: Car, seed: int, safe: str, safe_count: int, trials: int) ->
         return plan.trials(safe_trajectories(plan, runner), each)
 
 
-def row(episodes: Sequence[EpisodeSpec], deep_trials: int, times: int) -> Row:
+def row(episodes: Sequence[EpisodeSpec], safe_count: int, deep_trials: int, times: int) -> Row:
     """Return what is found of a car."""
-    eta_max = episodes[0].scenario.eta_max
+    eta_max, each = episodes[0].scenario.eta_max, len(episodes) // safe_count
     begin = time.process_time()
     found = search_margins(episodes, {}, one_by_one)
     seconds = time.process_time() - begin
-    said = margins(found.hits, eta_max)
+    hits = tuple(tuple(found.hits[at : at + each]) for at in range(0, len(episodes), each))
+    said, excess = Margins(hits, eta_max, found.search), found.search.excess
     chosen = np.sort(np.random.default_rng(episodes[0].seed).permutation(len(episodes))[:deep_trials])
     limit = max(1, times * IN_PROCESS.limit // DEEPER)  # so few trials are searched DEEPER times as deep
     effort = IN_PROCESS._replace(first=DEEPER * limit, limit=limit)
     more = search_margins([episodes[number] for number in chosen.tolist()], {}, one_by_one, effort)
-    least = np.minimum(said[chosen], margins(more.hits, eta_max)).mean()
-    search, excess = found.search, found.search.excess
-    return Row(
-        float(said.mean()),
-        search.converged,
-        search.budget,
-        (np.nan, np.nan) if excess is None else (excess.mean, excess.error),
-        float(said[chosen].mean() / least) if least > 0.0 else 1.0,
-        seconds,
+    before = said.values[chosen]
+    least = np.minimum(before, Margins((tuple(more.hits),), eta_max).values).mean()
+    ratio = float(before.mean() / least) if least > 0.0 else 1.0
+    low, high = said.ci95 or (0.0, eta_max)
+    return {
+        "margin": said.mean,
+        "converged": found.search.converged,
+        "budget": found.search.budget,
+        "excess": None if excess is None else [excess.mean, excess.error],
+        "too_high": ratio,
+        "held": low <= said.mean / ratio <= high,
+        "seconds": seconds,
+        "phi": [group.tolist() for group in said.per_phi],
+    }
+
+
+def shown(one: Row) -> str:
+    """Return a line of the table."""
+    excess = "–" if one["excess"] is None else "{:.3f} ± {:.3f}".format(*one["excess"])
+    converged = "yes" if one["converged"] else "no"
+    return (
+        f"| {one['car']} | {one['setting']} | {one['seed']} | {one['margin']:.3f} | {converged} | {one['budget']} | "
+        f"{excess} | {one['too_high']:.3f} | {one['seconds']:.0f} |"
     )
-
-
-def margins(hits: Sequence[object], eta_max: float) -> FloatArray:
-    """Return the margin of each trial, m; η_max where no hit was found."""
-    return np.array([eta_max if hit is None else hit.distance for hit in hits])  # type: ignore[attr-defined]
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
     """Return lines that count."""
     lines = []
     for converged in (True, False):
-        ratios = np.array([one.too_high for one in rows if one.converged == converged])
+        ratios = np.array([one["too_high"] for one in rows if one["converged"] == converged])
         if ratios.size:
             said = "converged" if converged else "not converged, so at most"
             lines.append(
                 f"{said}: {ratios.size} rows, at most {100.0 * (ratios.max() - 1.0):.1f} % too high, "
                 f"no more than 1 % in {(ratios <= 1.01).sum()}, no more than 3 % in {(ratios <= 1.03).sum()}"
             )
-    seconds = np.array([one.seconds for one in rows])
+    lines.append(f"intervals hold what deeper search finds in {sum(one['held'] for one in rows)} of {len(rows)} rows")
+    pairs = []
+    for one, other in itertools.combinations([one for one in rows if one["converged"]], 2):
+        if (one["car"], one["setting"]) == (other["car"], other["setting"]) and one["seed"] != other["seed"]:
+            groups = [[np.array(group) for group in each["phi"]] for each in (one, other)]
+            found = difference(*groups, paired=False)
+            pairs += [found.p_value] if found is not None and found.p_value is not None else []
+    if pairs:
+        wrong = sum(p < SIGNIFICANT for p in pairs)
+        lines.append(f"pairs of seeds of one car that differ significantly: {wrong} of {len(pairs)}")
+    seconds = np.array([one["seconds"] for one in rows])
     lines.append(f"processor time: median {np.median(seconds):.0f} s, nine tenths {np.quantile(seconds, 0.9):.0f} s")
     return lines
 
 
 def main() -> None:
     """Print the table, row by row, as Markdown."""
-    cars = [car for car in (*MEMORY_CARS, *CARS) if not car.is_basic]
-    labels = [car.label for car in cars]
+    cars = {car.label: car for car in (*MEMORY_CARS, *CARS) if not car.is_basic}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cars", nargs="+", default=labels, choices=labels, metavar="NAME", help="as in the catalogue")
-    parser.add_argument("--scenarios", nargs="+", default=[""], metavar="NAME", help="default: the car's own")
+    parser.add_argument(
+        "--cars", nargs="+", default=list(cars), choices=cars, metavar="NAME", help="as in the catalogue"
+    )
+    parser.add_argument(
+        "--settings", nargs="+", choices=SETTINGS, metavar="NAME", help="default: the car's own scenario"
+    )
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], metavar="N")
-    parser.add_argument("--safe", default=SYNTHETIC, help="nominal trajectories, as in skd assess")
+    parser.add_argument("--recorded", default="", metavar="DIR", help="CITR data of the setting recorded")
     parser.add_argument("--safe-count", type=int, default=20, metavar="N")
     parser.add_argument("--trials", type=int, default=500, metavar="N", help="in all (default 500)")
     parser.add_argument("--deep-trials", type=int, default=20, metavar="N", help="searched deeper, at most 20")
     parser.add_argument("--times", type=int, default=100, metavar="N", help="the default limit (default 100)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="where rows are kept")
     arguments = parser.parse_args()
-    made, missing = available([car for car in cars if car.label in arguments.cars])
+    kept = [json.loads(line) for line in arguments.out.open()] if arguments.out and arguments.out.exists() else []
+    known = {one["key"]: one for one in kept}
+    size = f"{arguments.trials} on {arguments.safe_count}, {arguments.deep_trials} × {arguments.times}"
     print("| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", sep="\n", flush=True)
-    rows = []
-    for name in arguments.scenarios:
-        for car in made:
-            other = replace(car, scenario_name=name or car.scenario_name)
-            for seed in arguments.seeds:
-                head = f"{other.label} | {other.scenario_name} | {seed}"
-                try:
-                    episodes = episodes_of(other, seed, arguments.safe, arguments.safe_count, arguments.trials)
-                    one = row(episodes, arguments.deep_trials, arguments.times)
-                except (AssessmentError, UsageError) as error:
-                    missing.append(f"{head}: {error}")
-                    continue
-                rows.append(one)
-                print(
-                    f"| {head} | {one.margin:.3f} | {'yes' if one.converged else 'no'} | {one.budget} | "
-                    f"{one.excess[0]:.3f} ± {one.excess[1]:.3f} | {one.too_high:.3f} | {one.seconds:.0f} |",
-                    flush=True,
-                )
-    print("", *summary(rows), *missing, sep="\n")
+    rows: list[Row] = []
+    failed = []
+    for seed, label, name in itertools.product(arguments.seeds, arguments.cars, arguments.settings or [""]):
+        car, setting = cars[label], name or cars[label].scenario_name
+        scenario, safe, most = SETTINGS.get(setting, (setting, "synthetic", MOST))
+        count = min(arguments.safe_count, most)
+        key = f"{label}, {setting}, {seed}, {size}"
+        try:
+            if key not in known:
+                other = replace(car, scenario_name=scenario)
+                episodes = episodes_of(other, seed, safe or arguments.recorded, count, arguments.trials)
+                one = row(episodes, count, arguments.deep_trials, arguments.times)
+                known[key] = {"key": key, "car": label, "setting": setting, "seed": seed, **one}
+                if arguments.out:
+                    with arguments.out.open("a") as file:
+                        file.write(json.dumps(known[key]) + "\n")
+        except (AssessmentError, UsageError) as error:
+            failed.append(f"{key}: {error}")
+            continue
+        rows.append(known[key])
+        print(shown(known[key]), flush=True)
+    print("", *(summary(rows) if rows else ()), *failed, sep="\n")
 
 
 if __name__ == "__main__":

@@ -263,7 +263,7 @@ def grow(data: Observations, *, seed: int = 0) -> CarForest:
 
     features, change = described(data)
     whole = np.ceil(features * GRID - 0.5)  # what is resolved; halves go down, as in `leaf_of`
-    forest = RandomForestRegressor(TREES, min_samples_leaf=LEAST_DONORS, random_state=seed, n_jobs=1)
+    forest = RandomForestRegressor(TREES, min_samples_leaf=LEAST_DONORS, random_state=seed, n_jobs=-1)
     forest.fit(whole.astype(np.float32), change)
     grown: list[Any] = [tree.tree_ for tree in forest.estimators_]
     for tree in grown:
