@@ -32,6 +32,8 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         ranked_by: figure by which cars are in order, the most vulnerable one first; None: in the order given.
     """
     order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
+    if ranked_by and any(map(does_not_get_past, rows)):
+        order += ", but for those often stuck"
     if ranked_by:  # who does not get past people is never the first
         rows = sorted(rows, key=lambda one: (not does_not_get_past(one), float(one[ranked_by])))
     heads = ["car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "time\nlost (s)"]
