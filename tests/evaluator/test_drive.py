@@ -11,8 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli_support import CROSSING, one_line
-from hypothesis import given
-from hypothesis import strategies as st
 from rich.console import Console
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
@@ -20,7 +18,6 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.driving.drive import Controls, Hand, LeftError, Onlooker, Situation, Wish, driving_in_process
 from skd_evaluator.driving.screen import KEYS, Screen, top_view
-from skd_evaluator.metrics.surrogate_measures import clearance_at
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import AdversaryState, CarState
@@ -55,8 +52,7 @@ def test_the_world_goes_as_the_keys_say():
     controls.hand = Hand(SCENARIO)
     controls.press("down")
     episode = of_keys()
-    with driving_in_process(episode.car, 1e6, lambda _episode: controls.hand, seen.append, controls.look) as drive:
-        log = drive(episode)
+    log = driving_in_process(episode.car, 1e6, lambda _episode: controls.hand, seen.append, controls.look)(episode)
     adversary = SCENARIO.adversary
     ticks = np.arange(len(log.adversary))
     expected = np.column_stack([adversary.start_x + 0.3 * adversary.speed * ticks, np.full(len(ticks), 0.0)])
@@ -70,8 +66,7 @@ def test_an_episode_that_is_watched_is_the_same(tmp_path):
     plan = Plan(SCENARIO, safe=str(tmp_path / "across.csv"), safe_count=1)
     episode = single_episode(plan, Mode.REPLAY, 0, safe_trajectories(plan, InProcessRunner(1))[0])
     seen: list[Situation] = []
-    with driving_in_process(episode.car, 1e6, lambda _episode: None, seen.append, lambda: Wish.NONE) as drive:
-        log = drive(episode)
+    log = driving_in_process(episode.car, 1e6, lambda _episode: None, seen.append, lambda: Wish.NONE)(episode)
     alone = run_episode(episode)
     assert (log.outcome, log.impact_time) == (alone.outcome, alone.impact_time) or math.isnan(alone.impact_time)
     assert log.car.tobytes() == alone.car.tobytes()
@@ -83,14 +78,14 @@ def test_who_has_seen_enough_leaves():
     controls = Controls()
     controls.press("r")
     episode = of_keys()
-    with driving_in_process(episode.car, 1e6, lambda _one: Hand(SCENARIO), lambda _s: None, controls.look) as drive:
-        with pytest.raises(LeftError):
-            drive(episode)
-        assert controls.take() is Wish.AGAIN
-        assert controls.look() is Wish.NONE
-        controls.press("q")
-        controls.press("r")
-        assert controls.take() is controls.take() is Wish.QUIT  # which nothing takes back
+    drive = driving_in_process(episode.car, 1e6, lambda _one: Hand(SCENARIO), lambda _s: None, controls.look)
+    with pytest.raises(LeftError):
+        drive(episode)
+    assert controls.take() is Wish.AGAIN
+    assert controls.look() is Wish.NONE
+    controls.press("q")
+    controls.press("r")
+    assert controls.take() is controls.take() is Wish.QUIT  # which nothing takes back
 
 
 def situation(car: CarState, adversary: AdversaryState) -> Situation:
@@ -112,14 +107,6 @@ def test_the_picture_is_to_scale():
     assert lines[row].index("●") - front == pytest.approx((10.0 - 2.25) / 0.5, abs=1)
     moved = top_view(situation(CarState(0.0, -10.0, 0.0, 8.0), adversary), 80, 18).plain
     assert max(line.count("█") for line in moved.splitlines()) <= 4  # it points down: 1.8 m wide
-
-
-@given(st.floats(-5.0, 5.0), st.floats(-20.0, 20.0))
-def test_the_clearance_is_the_distance_to_the_rectangle(x, y):
-    """To an axis-parallel rectangle, in closed form."""
-    found = clearance_at(SCENARIO, CarState(0.0, 0.0, NORTH, 1.0), AdversaryState(x, y, 0.0, 0.0))
-    away = math.hypot(max(abs(x) - 0.9, 0.0), max(abs(y) - 2.25, 0.0)) - 0.25
-    assert found == pytest.approx(max(away, 0.0), abs=1e-12)
 
 
 def test_a_screen_fits_the_terminal_and_says_in_full_what_is_awaited():

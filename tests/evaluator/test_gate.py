@@ -211,7 +211,6 @@ def test_the_command_line_decides(skd_here, here, cars):
     ("arguments", "parts"),
     [
         (["--fail-below", "deviatoin=1"], ["--fail-below deviatoin=1", "did you mean 'deviation'?"]),
-        (["--fail-below", "objectives.paper.sdk=1"], ["did you mean 'objectives.paper.skd'?"]),
         (["--fail-below", "deviation=much"], ["FIGURE=NUMBER"]),
         (
             ["--fail-above", "nominal_collision_rate=5"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 
 import pytest
@@ -11,6 +12,7 @@ from matplotlib.image import imread
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
+from skd_evaluator.cli.arguments import steps_of
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_sim.errors import UsageError
@@ -77,10 +79,9 @@ def test_what_is_not_there_is_said_in_one_line(skd_here, words, said):
 
 
 @pytest.mark.parametrize("speeds", ["10", "10:60", "60:10:10", "10:60:0", "a:b:c", "0:60:10", "1:60:0.1", "10:inf:1"])
-def test_speeds_that_are_none_are_refused(skd_here, speeds):
-    done = skd_here("scenarios", "campaign", "cpna", "--speeds", speeds)
-    assert done.returncode == 2
-    assert "must be FROM:TO:STEP" in done.stderr
+def test_speeds_that_are_none_are_refused(speeds):
+    with pytest.raises(argparse.ArgumentTypeError, match="must be FROM:TO:STEP"):
+        steps_of("km/h", 0.0, 200.0)(speeds)
 
 
 def test_a_campaign_of_test_speeds(skd_here, here):

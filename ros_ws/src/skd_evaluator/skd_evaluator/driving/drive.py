@@ -339,11 +339,10 @@ class PacedSimulator(NamedSimulator):
         self._shown = time.monotonic()
 
 
-@contextmanager
 def driving_in_process(
     car: CarUnderTest, rate: float, hand_for: HandFor, show: Show, look: Callable[[], Wish]
-) -> Iterator[Drive]:
-    """Yield what runs an episode at the pace of the wall clock.
+) -> Drive:
+    """Return what runs an episode at the pace of the wall clock.
 
     Args:
         car: the car under test.
@@ -353,8 +352,4 @@ def driving_in_process(
         look: says what is wanted.
     """
     controller = make_controller(car.controller, car.multiplier)
-
-    def drive(episode: EpisodeSpec) -> EpisodeLog:
-        return run_episode(episode, controller, hand_for(episode), PacedSimulator(rate, show, look))
-
-    yield drive
+    return lambda episode: run_episode(episode, controller, hand_for(episode), PacedSimulator(rate, show, look))

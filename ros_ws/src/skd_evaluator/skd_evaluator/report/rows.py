@@ -230,34 +230,25 @@ def _skd_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
     return rows
 
 
-@dataclass(frozen=True)
-class CurveBound:
-    """What mean and variance alone say of a point of the vulnerability curve, beside what was found.
-
-    Attributes:
-        eta: deviation η, m.
-        found: share P(η) of trials that needed at most η.
-        theorem: upper bound of P(η) by Theorem 1.
-        cantelli: upper bound of P(η) by Cantelli's inequality.
-    """
-
-    eta: str
-    found: str
-    theorem: str
-    cantelli: str
-
-
 _EVERY = 5
 """One in so many points of the curve is in the table of bounds."""
 
 
-def bounds_of(curves: Mapping[str, Any] | None) -> list[CurveBound]:
-    """Return the bounds of the curve that is drawn, up to where they say nothing; none where they are not known."""
+def bounds_of(curves: Mapping[str, Any] | None) -> list[dict[str, str]]:
+    """Return what mean and variance alone say of the curve that is drawn, beside what was found.
+
+    By η (m): the share P(η) of trials that needed at most η, and its upper bounds by Theorem 1 and by Cantelli's
+    inequality, up to where these say nothing. None where the curve is not known.
+    """
     curve = (curves or {}).get("margins") or (curves or {}).get("kamikazes")
-    points = curve["points"][::_EVERY] if curve else []
     return [
-        CurveBound(f"{one['eta']:.2f}", number(one["probability"]), number(one["bound"]), number(one["cantelli"]))
-        for one in points
+        {
+            "eta": f"{one['eta']:.2f}",
+            "found": number(one["probability"]),
+            "theorem": number(one["bound"]),
+            "cantelli": number(one["cantelli"]),
+        }
+        for one in (curve["points"][::_EVERY] if curve else ())
         if "cantelli" in one and one["cantelli"] < 1.0
     ]
 

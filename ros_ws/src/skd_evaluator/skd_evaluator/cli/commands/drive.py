@@ -195,8 +195,7 @@ def _driving(
         return controls.hand
 
     if not episodes.graph:
-        with driving_in_process(plan.car, options.rate_factor, hand_for, show, controls.look) as drive:
-            yield drive
+        yield driving_in_process(plan.car, options.rate_factor, hand_for, show, controls.look)
         return
     from skd_evaluator.ros.driving import Watched  # only here: ROS may be added by `prepare_ros`
 
