@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -380,25 +380,22 @@ Headed = tuple[str, list[ChartedCar]]
 
 def rated_cars(subjects: Sequence[Subject]) -> list[Headed]:
     """Return the sets of cars whose risks can be compared, rated on the same φ with one behaviour model."""
-    known = [one for one in subjects if has_risks(one.figures)]
-    return _sets(subjects, known, [json.dumps(one.figures["risk"]["behaviour"], sort_keys=True) for one in known])
+    return _sets(subjects, lambda one: json.dumps(one["risk"]["behaviour"], sort_keys=True) if has_risks(one) else None)
 
 
 def priced_cars(subjects: Sequence[Subject]) -> list[Headed]:
     """Return the sets of cars whose margins and prices of caution can be compared, rated on the same φ."""
-    known = [one for one in subjects if has_price(one.figures)]
-    return _sets(subjects, known, [""] * len(known))
+    return _sets(subjects, lambda one: "" if has_price(one) else None)
 
 
-def _sets(subjects: Sequence[Subject], known: Sequence[Subject], models: Sequence[str]) -> list[Headed]:
-    """Return sets of at least two cars, each with a heading, which is empty where there is a single set."""
-    cars = dict(zip(map(id, subjects), charted(subjects), strict=True))
+def _sets(subjects: Sequence[Subject], model: Callable[[Mapping[str, Any]], str | None]) -> list[Headed]:
+    """Return sets of at least two cars of the same φ and model, each with a heading, empty for a single set."""
     groups: dict[tuple[object, ...], list[ChartedCar]] = {}
-    for one, model in zip(known, models, strict=True):
-        groups.setdefault((one.safe_key, one.figures["eta_max"], model), []).append(cars[id(one)])
+    for one, car in zip(subjects, charted(subjects), strict=True):
+        if (kind := model(one.figures)) is not None:
+            groups.setdefault((one.safe_key, one.figures["eta_max"], kind), []).append(car)
     shown = [members for members in groups.values() if len(members) > 1]
-    several = len(shown) > 1
-    return [(f"{one[0].kind or one[0].figures['safe']} φ" if several else "", one) for one in shown]
+    return [(f"{one[0].kind or one[0].figures['safe']} φ" if len(shown) > 1 else "", one) for one in shown]
 
 
 def save_comparison(folder: Path, results: Mapping[str, StoredResult], ranked_by: str | None) -> None:

@@ -6,8 +6,10 @@ from it was cut short, edited, or is of another run.
 
 from __future__ import annotations
 
+import csv
 import errno
 import fcntl
+import io
 import itertools
 import json
 import os
@@ -254,6 +256,18 @@ def _free(path: Path) -> Path:
     """Return a path where nothing is: this one, or with a number behind it."""
     names = itertools.chain([path.name], (f"{path.name}-{number}" for number in itertools.count(2)))
     return next(one for one in map(path.with_name, names) if not (one.exists() or one.is_symlink()))
+
+
+def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    """Return rows as CSV, those of their keys that are columns; of an interval both ends in one cell."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow(
+            {key: " ".join(map(str, cell)) if isinstance(cell, (list, tuple)) else cell for key, cell in row.items()}
+        )
+    return text.getvalue()
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -78,17 +77,6 @@ def _folder_name(multiplier: float) -> str:
     return f"C_{multiplier:.12g}"
 
 
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    flat = [
-        {key: " ".join(map(repr, cell)) if isinstance(cell, (list, tuple)) else cell for key, cell in row.items()}
-        for row in rows
-    ]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(flat)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     from skd_sim.controllers.basic import PAPER_MULTIPLIERS
@@ -96,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from skd_evaluator.assessment.assessment import Assessment
     from skd_evaluator.assessment.context import Context
-    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.assessment.files.result_folder import csv_text, write_json
     from skd_evaluator.assessment.from_options import plan_of, scenario_for
     from skd_evaluator.assessment.stages.pipeline import run_stages, start_workers
     from skd_evaluator.assessment.stages.risk import risk_request
@@ -174,7 +162,7 @@ def run(arguments: argparse.Namespace) -> int:
             part.mkdir(parents=True)
             fill(part, assessment)
         write_json(folder / "sweep.json", summary)
-        _write_csv(folder / "sweep.csv", rows)
+        (folder / "sweep.csv").write_text(csv_text(rows, list(rows[0])), encoding="utf-8")
         save_sweep(folder / "sweep.png", rows)
 
     def show() -> None:

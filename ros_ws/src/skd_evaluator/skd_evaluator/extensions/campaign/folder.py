@@ -7,9 +7,7 @@ in it is made again from the stored episodes, which are forgotten only then.
 
 from __future__ import annotations
 
-import csv
 import fcntl
-import io
 import json
 import os
 import shutil
@@ -23,7 +21,7 @@ from skd_sim.inputs.files import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment.files.episode_store import FILE_NAME as STORE
-from skd_evaluator.assessment.files.result_folder import write_manifests
+from skd_evaluator.assessment.files.result_folder import csv_text, write_manifests
 from skd_evaluator.extensions.campaign.cells import CHECKED, Cell
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask
 
@@ -200,12 +198,7 @@ class CampaignFolder:
     def write_rows(self, content: Mapping[str, Any], columns: Sequence[str]) -> None:
         """Write campaign.json and, of its rows, campaign.csv."""
         replace_file(self.path / CAMPAIGN, _json(content))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-        writer.writeheader()
-        for row in content["cells"]:
-            writer.writerow({key: _plain(value) for key, value in row.items()})
-        replace_file(self.path / TABLE, text.getvalue())
+        replace_file(self.path / TABLE, csv_text(content["cells"], columns))
 
 
 def _to_disk(folder: Path, *, only: bool = False) -> None:
@@ -240,7 +233,3 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             found[f"{prefix}{key}"] = value
     return found
-
-
-def _plain(value: Any) -> Any:
-    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else value
