@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SHELLS = {"bash", "console", "sh", "shell"}
 FOREIGN = (
     *("colcon", "cyclonedx-py", "dask", "docker", "git", "pip-audit", "python", "python3"),
-    *("ros2", "rosdep", "ssh-keygen", "sudo"),
+    *("ros2", "rosdep", "ssh-keygen", "sudo", "tmux"),
 )
 """Programs that the documentation calls and that do not lie in the checkout."""
 _INTERPRETERS = (
