@@ -146,15 +146,17 @@ class LiveFigures:
         self._onlooker: Onlooker | None = None
         self._show: Show | None = None
         self._ages = CommandAges(waited_for=False)
+        self._latest: int | None = None
 
     def watch(self, show: Show, commands: CommandOptions) -> None:
         """Call a function with each situation, in which the car's command and its age are known, too."""
         heard = car_commands(commands)
 
         def on_command(message: Any) -> None:
-            stamp, command = heard.read(message)
-            self._drive = command[0]
-            self._ages.come(stamp or None, time.monotonic())
+            if self._latest is not None:  # else it is of the episode before
+                stamp, command = heard.read(message)
+                self._drive = command[0]
+                self._ages.come(stamp or None, time.monotonic())
 
         self._show, self._unit = show, _UNITS[heard.format.quantity]
         self._node.create_subscription(heard.kind, commands.command_topic, on_command, STREAM)
@@ -170,7 +172,7 @@ class LiveFigures:
         self._onlooker = Onlooker(episode, self._unit) if listeners or self._show else None
         self._scenario, self._start = episode.scenario, start
         self._moments = Moments(CarState, AdversaryState)
-        self._drive, self._latest = math.nan, start
+        self._drive, self._latest = math.nan, None
         self._ages.begin()
 
     def take(self, stamp: int, state: CarState | AdversaryState) -> None:
@@ -179,7 +181,7 @@ class LiveFigures:
             return
         if isinstance(state, CarState):
             now = time.monotonic()
-            if stamp > self._latest and not math.isnan(self._drive):
+            if self._latest is not None and stamp > self._latest and not math.isnan(self._drive):
                 self._ages.use(now)
             self._latest = stamp
             self._ages.publish(stamp, now)
