@@ -191,7 +191,7 @@ def test_misbehaviour_during_an_episode(
     assert finished.code in (0, 1), finished.err
     result = json.loads((out / "assessment.json").read_text())
     assert result["aborted"] == 1
-    assert result["collision_runs"] == 2
+    assert (result["kamikaze_trials"], result["collision_runs"]) == (2, 1)  # it was the first run along φ
     recorded = read_episodes([out / "bags"])
     logs = [one.log for one in recorded if one.log.outcome == Outcome.ABORTED]
     assert len(logs) == 1

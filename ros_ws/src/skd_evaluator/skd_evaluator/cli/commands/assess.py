@@ -203,7 +203,7 @@ def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
 
     steps = ["learning the car"] if needs_learning(plan) else []
     steps += ["safe trajectories"] if plan.safe in GENERATED else []
-    steps += ["kamikazes", "nominal runs", *(["margin"] if request["margin_limit"] else [])]
+    steps += ["nominal runs", "kamikazes", *(["margin"] if request["margin_limit"] else [])]
     steps += ["risk"] if request["risk"].behaviour is not None else []
     return [*steps, "price of caution"]
 
