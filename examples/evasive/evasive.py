@@ -14,6 +14,7 @@ from skd_sim.world.state import AdversaryState, CarState
 TRIGGER, RELEASE = 1.4, 2.2  # s to a collision: begins to act, and ends
 BESIDE = 0.5  # m beside the car that count as its path
 SIDE_ACCELERATION = 1.6  # m/s² with which it comes to its new offset
+SHARPEST_BEND = 0.2  # 1/m
 SHARPEST = 0.4  # of its speed, to the side at the most
 
 
@@ -57,7 +58,7 @@ class Brakes:
         speed, off = max(car.speed, 1.0), target - car.x
         most = min(math.sqrt(2.0 * SIDE_ACCELERATION * abs(off)), 2.0 * abs(off), SHARPEST * speed)
         heading = -math.asin(max(-0.5, min(0.5, math.copysign(most, off) / speed)))
-        return (heading - (car.heading - math.pi / 2.0)) / (0.22 * speed)
+        return max(-SHARPEST_BEND, min(SHARPEST_BEND, (heading - (car.heading - math.pi / 2.0)) / (0.22 * speed)))
 
 
 class BrakesAside(Brakes):

@@ -211,7 +211,7 @@ class Assessment:
     @cached_property
     def lanes_left(self) -> tuple[float, float] | None:
         """In which share of the runs along φ the car leaves its lane, and for how long, s; None: in none."""
-        return lanes_left(self.nominal_runs) if self.plan.steers else None
+        return lanes_left(self.nominal_runs)
 
     @property
     def contact_rate(self) -> float | None:

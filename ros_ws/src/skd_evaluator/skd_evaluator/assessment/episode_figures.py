@@ -107,10 +107,22 @@ _PARTS = 12
 """Of a tick, at least, at whose ends it is looked whether the car is in its lane."""
 
 
+_ASIDE = 0.05
+"""m that a car which keeps to its lane stays within."""
+
+
+def steers(log: EpisodeLog) -> bool:
+    """Return whether the car leaves the middle of its lane."""
+    places = right_and_along(log.episode.scenario.road.line, np.ascontiguousarray(log.car[:, :2]))
+    return bool(np.abs(places[:, 0]).max() > _ASIDE)
+
+
 def lane_left(log: EpisodeLog) -> float:
     """Return for how long a corner of the car is beyond the edges of its lane, s; nan of an aborted episode."""
     if log.outcome == Outcome.ABORTED:
         return math.nan
+    if not steers(log):
+        return 0.0
     scenario, seconds = log.episode.scenario, 0.0
     car, half = scenario.car, 0.5 * scenario.road.lane_width
     footprint = car.front, car.rear, car.half_width

@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from skd_sim.scenario.road import right_and_along
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, in_order, objective_results
 from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
+from skd_evaluator.assessment.episode_figures import steers
 from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, runs_along
 from skd_evaluator.metrics.deviation import deviation
@@ -23,8 +22,6 @@ from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 
 BOUNDS = (0.25, 0.5, 1.0, 2.0)
 """η, m, to which kamikazes are bounded."""
-_ASIDE = 0.05
-"""m that a car which keeps to its lane stays within."""
 _PART = 4
 """One in so many of an assessment's trials is made for each bound."""
 
@@ -54,9 +51,7 @@ def run_nominal(context: Context, assessment: Assessment) -> Assessment:
 
 def with_steering(plan: Plan, logs: Sequence[EpisodeLog]) -> Plan:
     """Return a plan that says whether the car steers, by runs of it."""
-    line = plan.scenario.road.line
-    offsets = (right_and_along(line, np.ascontiguousarray(log.car[:, :2]))[:, 0] for log in logs)
-    return replace(plan, steers=plan.steers or any(np.abs(one).max() > _ASIDE for one in offsets))
+    return replace(plan, steers=plan.steers or any(map(steers, logs)))
 
 
 @stage(100)
