@@ -46,6 +46,7 @@ _VERSIONS: Final = f"{sys.version_info[:3]} {numba.__version__} {np.__version__}
 _NumbaCache: Any = NullCache  # numba has no types for these
 _NumbaPickler: Any = NumbaPickler
 _rebuild: Any = CompileResult._rebuild
+_unliteral: Any = numba.types.unliteral
 
 
 @functools.cache
@@ -301,12 +302,20 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
     made: Any = numba.njit(error_model="numpy", **options)(function)
     if isinstance(made, Dispatcher):  # not where numba is disabled
         vars(made)["_cache"] = KernelCache(made)
-        if inline:
-            made.__class__ = _InlinedKernel
+        made.__class__ = _InlinedKernel if inline else _Kernel
     return made
 
 
-class _InlinedKernel(type(numba.njit(lambda: None))):  # type: ignore[misc]
+class _Kernel(type(numba.njit(lambda: None))):  # type: ignore[misc]
+    """A kernel that is compiled once for each type of its arguments; numba would do so for each literal, too."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return super().get_call_template(
+            tuple(map(_unliteral, args)), {name: _unliteral(kind) for name, kind in kws.items()}
+        )
+
+
+class _InlinedKernel(_Kernel):
     """A kernel that other kernels contain: it is compiled without what Python calls it by.
 
     That takes half of the time. Called from Python it is compiled once more.
