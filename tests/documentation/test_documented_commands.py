@@ -21,6 +21,7 @@ from citr_lookalike import LookAlike, Walk
 from common import run_skd
 from documented_commands import ROOT, Block, Call, blocks, calls, documents
 from packaging_support import check_command
+from skd_evaluator.assessment.stages import price
 
 NOT_RUN = {  # of a command as it stands: why it is not run here
     r"git clone|sudo apt|.* -m pip |pip-audit|cyclonedx-py|colcon|docker": "changes the machine, or needs the network",
@@ -48,7 +49,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
 _POLICY = ROOT / "docs" / "python_policy.md"
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
-    "assess": f"{COUNTS} --workers 1 --margin-limit 16",
+    "assess": f"{COUNTS} --workers 1",
     "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
     "ncap": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
@@ -56,6 +57,7 @@ SMALLER = {  # what is put behind a command, so that it takes a second
 QUICKER = {"drive": "-p rate_factor:=100"}  # of a command that writes no result
 UNLEARNED = {"--car-model", "--adversary-model"}  # without these a car that is not the basic one is learned first
 NO_LEARNING = ["--adversary-model", "generic"]
+MARGIN = ["--margin-limit", "16"]
 NO_RISK = ["--behaviour", "none"]  # thousands of crossings, which of a user's car are driven one by one
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
 SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}
@@ -89,7 +91,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (controller,) = re.findall(r"```python\n(class MyController.*?)```", _POLICY.read_text("utf-8"), re.S)
     (folder / "my_module.py").write_text(controller, encoding="utf-8")
     first = folder / EARLIER[-1]
-    assert run_skd("assess", *shlex.split(SMALLER["assess"]), "--out", first) == 0
+    assert run_skd("assess", *shlex.split(SMALLER["assess"]), *MARGIN, "--out", first) == 0
     for name in EARLIER[:-1]:
         shutil.copytree(first, folder / name)
     return folder
@@ -140,9 +142,11 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
     command = call.words[0]
     words = list(call.words)
     words += shlex.split((SHOWN if as_it_stands else SMALLER | QUICKER).get(command, ""))
-    if command == "assess" and not as_it_stands and "--controller" in words:
-        words += [] if UNLEARNED & set(words) else NO_LEARNING
-        words += [] if "--behaviour" in words else NO_RISK
+    if command == "assess" and not as_it_stands:
+        words += MARGIN if "--margin-limit 0" not in shlex.join(words) else []
+        if "--controller" in words:
+            words += [] if UNLEARNED & set(words) else NO_LEARNING
+            words += [] if "--behaviour" in words else NO_RISK
     for option in ENOUGH.keys() & set(call.words):
         words += shlex.split(ENOUGH[option])
     if out is None and command in SMALLER:
@@ -153,7 +157,22 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
         made = checkout / words[words.index("--out") + 1]
         assert made.exists()
         if made.is_dir():
-            results[key] = made
+            results.setdefault(key, made)
+
+
+def run_python(call: Call, checkout: Path, patch: pytest.MonkeyPatch) -> None:
+    """Run a program in this process, or a module in one of its own."""
+    if call.words[0] == "-m":
+        subprocess.run([sys.executable, *call.words], cwd=checkout / call.folder, check=True)
+        return
+    patch.chdir(checkout / call.folder)
+    patch.setattr(sys, "argv", [*call.words])
+    folder = str(Path(call.words[0]).parent.resolve())
+    patch.syspath_prepend(folder)
+    runpy.run_path(call.words[0], run_name="__main__")
+    for name, module in [*sys.modules.items()]:
+        if str(getattr(module, "__file__", "")).startswith(folder):
+            del sys.modules[name]  # whose name may be another's, too
 
 
 def parse(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,10 +229,13 @@ def test_commands(
                     for path in filter(None, call.python_path.split(":")):
                         patch.syspath_prepend(str(checkout / path))
                         patch.setenv("PYTHONPATH", str(checkout / path))
+                    if not shown:
+                        patch.setattr(price, "RUNS", len(price.KINDS))
                     run(call, checkout, results, bool(shown))
-                elif call.program in ("python", "scripts/skd"):
-                    program = sys.executable if call.program == "python" else str(ROOT / call.program)
-                    subprocess.run([program, *call.words], cwd=checkout / call.folder, check=True)
+                elif call.program == "python":
+                    run_python(call, checkout, patch)
+                elif call.program == "scripts/skd":
+                    subprocess.run([ROOT / call.program, *call.words], cwd=checkout / call.folder, check=True)
                 else:
                     pytest.fail(f"{block}: neither run nor in the table of what is not: {call}")
         assert_shown(shown, capfd.readouterr().out, block)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from common import PATIENCE, new_domain
-from graph_support import Program, assert_same_results, skd
+from graph_support import Program, assert_same_results, skd_here
 from rcl_interfaces.msg import ParameterType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter_client import AsyncParameterClient
@@ -47,13 +47,13 @@ def graph() -> Iterator[int]:
     assert [program.finish().code for program in programs] == [0, 0, 0]
 
 
-def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
+def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int, capsys: pytest.CaptureFixture[str]) -> None:
     counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "simulations": 300, "seed": 11}
     finished = node("evaluator", graph, **counts, multiplier=0.875, out=tmp_path / "node").finish()
     assert finished.code == 0, finished.err
     assert "afety margin " in finished.lines[-1]
     options = [word for key, value in counts.items() for word in (f"--{key.replace('_', '-')}", value)]
-    assert skd("assess", *options, "--multiplier", 0.875, "--out", tmp_path / "line").code == 0
+    assert skd_here(capsys, "assess", *options, "--multiplier", 0.875, "--out", tmp_path / "line").code == 0
     assert_same_results(tmp_path / "node", tmp_path / "line")
     assert len(list((tmp_path / "node" / "bags").iterdir())) == 3 + 3 + 4
     assert not (tmp_path / "node" / "logs").exists()
