@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import road_user_limits
-from conftest import ROOT
 from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
-PACKAGE = ROOT / "examples" / "roundabout"
+PACKAGE = Path(__file__).resolve().parents[2] / "examples" / "roundabout"
 LIMITS = (0.8, 3.5, 2.0, math.radians(30.0), 1.0)  # as the package's README has them
 SPEED = 20.0 / 3.6
 RIDE = """

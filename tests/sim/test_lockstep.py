@@ -1,16 +1,93 @@
-"""The rules of lockstep: what drives a tick, what ends an episode and why."""
+"""The rules of lockstep: what drives a tick, what ends an episode and why; without ROS and without waiting."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from dataclasses import dataclass, field
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lockstep_bench import LIMITS, START, Bench, Message, send, stamp
-from skd_sim.ros.lockstep import Action, ControlStep, End, Repeat
+from skd_sim.ros.lockstep import (
+    LEAD,
+    Action,
+    CommandSource,
+    ControlStep,
+    End,
+    Lockstep,
+    Repeat,
+    Senders,
+    Start,
+    WaitLimits,
+)
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import AbortKind, Outcome, kind_of
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import period_stamp, tick_stamp
 from skd_sim.world.world import Contact
+
+CROSSING = load_scenario("crossing")
+START, TIME_STEP = 5_000_000_000, CROSSING.time_step
+LIMITS = WaitLimits(command=2.0, startup=10.0)
+CAR, ADVERSARY = CarState(0.0, -15.0, math.pi / 2, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0)
+
+
+@dataclass
+class Few(Senders):
+    """Senders as a middleware might see them."""
+
+    alive: list[str] = field(default_factory=lambda: ["/one"])
+
+    def count(self) -> int:
+        return len(self.alive)
+
+    def crowd(self) -> str | None:
+        return f"{len(self.alive)} publish" if len(self.alive) > 1 else None
+
+    def absence(self) -> str:
+        return "nobody publishes"
+
+
+class Bench:
+    """A lockstep with its senders and a simulator that only counts."""
+
+    def __init__(self, *, real_time: bool = False, quiet_time: float = 0.0) -> None:
+        self.cars, self.adversaries = Few(), Few()
+        self.car = CommandSource("the car controller", "ego/acceleration_command", self.cars)
+        self.adversary = CommandSource("the adversary", "adversary/velocity_command", self.adversaries)
+        self.lockstep = Lockstep(self.car, self.adversary, LIMITS, real_time=real_time, quiet_time=quiet_time)
+        self.now = 100.0
+
+    def begin(self, start: int = START) -> End | None:
+        return self.lockstep.begin(start, CROSSING, frame(0), self.now)
+
+    def advance(self, tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> End | None:
+        return self.lockstep.advance(frame(tick, outcome, contact), self.now)
+
+    def go_to(self, tick: int) -> None:
+        """Answer until a tick is there."""
+        for before in range(tick):
+            assert self.lockstep.drive(stamp(before), 1.0) is None
+            assert isinstance(self.lockstep.walk(stamp(before), (2.0, 0.0)), ControlStep)
+            assert self.advance(before + 1) is None
+
+
+def frame(tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> Frame:
+    return Frame(tick, CAR, ADVERSARY, contact, outcome)
+
+
+def stamp(tick: int) -> int:
+    return tick_stamp(START, tick, TIME_STEP)
+
+
+Message = tuple[str, int, tuple[float, ...]]
+
+
+def send(lockstep: Lockstep, message: Message) -> Action | None:
+    who, at, command = message
+    return lockstep.drive(at, command[0]) if who == "car" else lockstep.walk(at, (command[0], command[1]))
 
 
 @pytest.fixture
@@ -208,3 +285,200 @@ def test_ages_are_those_of_the_commands_that_were_used(bench: Bench) -> None:
     bench.lockstep.walk(stamp(1), (2.0, 0.0), now=now + 3.1)
     bench.lockstep.drive(stamp(1), 1.0, now=now + 4.0)
     assert bench.lockstep.ages.ages == pytest.approx([0.25, 1.0])
+
+
+THRICE = dataclasses.replace(CROSSING, control_period=0.1)
+
+
+def moment(index: int) -> int:
+    return period_stamp(START, index // 3, index % 3, 3, TIME_STEP)
+
+
+@given(order=st.data(), repeats=st.integers(1, 3))
+def test_between_ticks_only_the_car_is_waited_for(order: st.DataObject, repeats: int) -> None:
+    """In any order of messages, also of an adversary that answers every state: what it says at a tick is held."""
+    bench = Bench()
+    bench.lockstep.begin(START, THRICE, frame(0), bench.now)
+    steps: list[ControlStep] = []
+    under_way: list[Message] = []
+    end: End | None = None
+    while end is None:
+        index = len(steps)
+        times = repeats if index == 0 else 1
+        under_way += [("car", moment(index), (float(index),))] * times
+        under_way += [("adversary", moment(index), (float(index), 1.0))] * times
+        action: Action | None = None
+        while action is None:
+            action = send(bench.lockstep, under_way.pop(order.draw(st.integers(0, len(under_way) - 1))))
+        assert isinstance(action, ControlStep)
+        steps.append(action)
+        tick, period = divmod(len(steps), 3)
+        outcome = Outcome.ARRIVED if tick == 3 else Outcome.RUNNING
+        end = bench.lockstep.advance(Frame(tick, CAR, ADVERSARY, None, outcome, period), bench.now)
+    assert steps == [ControlStep(float(index), (float(3 * (index // 3)), 1.0)) for index in range(9)]
+    assert end.stamp == stamp(3)
+
+
+def test_between_ticks_only_the_car_can_be_silent() -> None:
+    bench = Bench()
+    bench.lockstep.begin(START, THRICE, frame(0), bench.now)
+    bench.lockstep.drive(moment(0), 1.0)
+    assert bench.lockstep.walk(moment(0), (2.0, 0.0)) == ControlStep(1.0, (2.0, 0.0))
+    bench.lockstep.advance(Frame(0, CAR, ADVERSARY, period=1), bench.now)
+    assert bench.lockstep.watch(bench.now + 1.0) is None  # no repetition: it has begun
+    end = bench.lockstep.watch(bench.now + 2.1)
+    assert isinstance(end, End)
+    assert end.reason.startswith(
+        "no answer: the car controller (ego/acceleration_command) stayed silent for 2 s at tick 0"
+    )
+
+
+def test_real_time_takes_the_adversary_at_ticks_and_the_car_always() -> None:
+    bench = Bench(real_time=True)
+    lockstep = bench.lockstep
+    lockstep.begin(START, THRICE, frame(0), bench.now)
+    lockstep.drive(moment(0), 0.0)
+    assert lockstep.walk(moment(0), (0.0, 0.0)) == Start()
+    taken = []
+    for index in range(6):
+        lockstep.drive(moment(index), float(index))
+        lockstep.walk(moment(index), (float(index), 0.0))
+        taken.append(lockstep.go_on())
+        tick, period = divmod(index + 1, 3)
+        lockstep.advance(Frame(tick, CAR, ADVERSARY, period=period), bench.now)
+    assert taken == [ControlStep(float(index), (float(3 * (index // 3)), 0.0)) for index in range(6)]
+
+
+QUIET = 0.02
+
+
+@pytest.fixture
+def quiet() -> Bench:
+    made = Bench(quiet_time=QUIET)
+    assert made.begin() is None
+    return made
+
+
+def test_with_a_quiet_time_a_period_is_over_when_the_car_has_spoken(quiet: Bench) -> None:
+    now = quiet.now + 1.0
+    assert quiet.lockstep.drive(stamp(0), 1.0, now=now) is None
+    assert quiet.lockstep.drive(stamp(0), 2.0, now=now) is None  # the last word counts, and no second one is a fault
+    assert quiet.lockstep.walk(stamp(0), (2.0, 0.0), now=now) == ControlStep(2.0, (2.0, 0.0))
+    assert quiet.advance(1) is None
+    assert quiet.lockstep.walk(stamp(1), (2.0, 1.0), now=now) is None
+    assert quiet.lockstep.drive(stamp(0), 3.0, now=now) is None  # too late for tick 0, and no answer to tick 1 …
+    assert quiet.lockstep.quiet(now) == ControlStep(3.0, (2.0, 1.0))  # … but the newest word when the time is over
+    assert quiet.advance(2) is None
+    assert quiet.lockstep.drive(None, 4.0, now=now) is None
+    assert quiet.lockstep.walk(stamp(2), (0.0, 1.0), now=now) == ControlStep(4.0, (0.0, 1.0))
+    assert quiet.lockstep.ages.held == 0
+
+
+def test_when_the_quiet_time_is_over_the_last_command_is_held(quiet: Bench) -> None:
+    now = quiet.now + 1.0
+    assert quiet.lockstep.quiet(now) is None  # nothing to hold yet
+    assert quiet.lockstep.drive(stamp(0), 1.0, now=now) is None
+    assert isinstance(quiet.lockstep.walk(stamp(0), (2.0, 0.0), now=now), ControlStep)
+    assert quiet.advance(1) is None
+    assert quiet.lockstep.quiet(now) is None  # the adversary is waited for, as ever
+    assert quiet.lockstep.walk(stamp(1), (2.0, 1.0), now=now) == ControlStep(1.0, (2.0, 1.0))
+    assert quiet.advance(2) is None
+    assert quiet.lockstep.walk(stamp(2), (2.0, 2.0), now=now) is None
+    assert quiet.lockstep.quiet(now) == ControlStep(1.0, (2.0, 2.0))
+    assert quiet.lockstep.ages.held == 2
+
+
+def test_commands_of_the_last_episode_do_not_drive_this_one(quiet: Bench) -> None:
+    soon, later = quiet.now + 0.5 * QUIET, quiet.now + 2.0 * QUIET
+    assert quiet.lockstep.walk(stamp(0), (2.0, 0.0), now=soon) is None
+    assert quiet.lockstep.drive(START - LEAD - 1, 9.0, now=later) is None
+    assert quiet.lockstep.drive(None, 9.0, now=soon) is None  # it may have been under way
+    assert quiet.lockstep.drive(0, 9.0, now=soon) is None  # as is one whose stamp says nothing
+    assert quiet.lockstep.quiet(later) is None
+    assert quiet.lockstep.drive(START - LEAD, 1.0, now=later) == ControlStep(1.0, (2.0, 0.0))
+
+
+def test_the_clock_comes_nearer_while_a_car_that_is_there_has_nothing_to_say(quiet: Bench) -> None:
+    """For it may decide by a timer, and its timer by the clock; one that is not there yet would miss it."""
+    leads = [quiet.lockstep.lead]
+    quiet.cars.alive = []
+    quiet.now += 0.3
+    assert quiet.lockstep.watch(quiet.now) == Repeat()
+    assert quiet.lockstep.lead == leads[0] == LEAD
+    quiet.cars.alive = ["/one"]
+    for _ in range(12):
+        quiet.now += 0.3
+        assert quiet.lockstep.watch(quiet.now) == Repeat()
+        leads.append(quiet.lockstep.lead)
+    assert leads == sorted(leads, reverse=True)
+    assert len(set(leads)) == 10
+    assert leads[-1] == 0
+    quiet.lockstep.walk(stamp(0), (2.0, 0.0))
+    assert isinstance(quiet.lockstep.drive(START - 5, 1.0, now=quiet.now), ControlStep)
+    assert quiet.advance(1) is None
+    assert quiet.lockstep.lead == 0
+
+
+def test_a_car_that_follows_the_clock_and_is_gone_ends_the_episode(quiet: Bench) -> None:
+    quiet.lockstep.walk(stamp(0), (2.0, 0.0))
+    quiet.lockstep.drive(stamp(0), 1.0, now=quiet.now)
+    quiet.advance(1)
+    quiet.now += 100.0
+    quiet.lockstep.walk(stamp(1), (2.0, 0.0))
+    quiet.cars.alive = []
+    end = quiet.lockstep.watch(quiet.now)
+    assert isinstance(end, End)
+    assert kind_of(end.reason) == AbortKind.ENDED
+
+
+@pytest.fixture
+def real_time() -> Bench:
+    made = Bench(real_time=True)
+    assert made.begin() is None
+    return made
+
+
+def test_real_time_starts_once_and_holds_what_came_last(real_time: Bench) -> None:
+    lockstep = real_time.lockstep
+    assert lockstep.go_on() is None
+    assert lockstep.drive(stamp(0), 1.0) is None
+    assert lockstep.drive(stamp(0), 2.0) is None  # no contradiction: the last one counts
+    assert lockstep.walk(stamp(5) + 1, (1.0, 0.0)) == Start()
+    for tick in range(1, 4):
+        assert lockstep.go_on() == ControlStep(2.0, (1.0, 0.0))
+        assert real_time.advance(tick) is None
+    assert lockstep.walk(stamp(2), (0.0, 1.0)) is None
+    assert lockstep.drive(START - 1, 9.0) is None
+    assert lockstep.go_on() == ControlStep(2.0, (0.0, 1.0))
+
+
+def test_in_real_time_a_stamp_that_nobody_set_means_now(real_time: Bench) -> None:
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.drive(1, 1.0) is None  # one that somebody set, long ago
+    assert real_time.lockstep.drive(0, 2.0) == Start()
+    assert real_time.lockstep.go_on() == ControlStep(2.0, (1.0, 0.0))
+
+
+def test_the_clock_begins_before_the_episode(real_time: Bench) -> None:
+    """So a car that decides by a timer speaks before the first tick, and what it says then counts."""
+    real_time.cars.alive = ["/one"]
+    assert real_time.lockstep.lead == LEAD
+    real_time.now += 0.3
+    assert real_time.lockstep.watch(real_time.now) == Repeat()
+    assert 0 < real_time.lockstep.lead < LEAD
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.drive(START - LEAD - 1, 9.0) is None  # of the episode before
+    assert real_time.lockstep.drive(START - LEAD, 2.0) == Start()
+    assert real_time.lockstep.go_on() == ControlStep(2.0, (1.0, 0.0))
+    assert real_time.advance(1) is None
+    assert real_time.lockstep.lead == 0
+
+
+def test_in_real_time_only_who_is_gone_is_missed(real_time: Bench) -> None:
+    real_time.lockstep.drive(stamp(0), 1.0)
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.watch(real_time.now + 1e6) is None
+    real_time.cars.alive = []
+    end = real_time.lockstep.watch(real_time.now + 1e6)
+    assert isinstance(end, End)
+    assert end.reason == "process ended: the car controller (publisher of ego/acceleration_command) is gone"

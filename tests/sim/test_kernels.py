@@ -1,8 +1,9 @@
-"""Compiled code that is kept on disk is that of the sources as they are."""
+"""Compiled code that is kept is that of the sources; what it draws is numpy's; and arithmetic has a digest."""
 
 from __future__ import annotations
 
 import enum
+import math
 import os
 import shutil
 import subprocess
@@ -15,7 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from common import PATIENCE
-from skd_sim.kernels.compilation import digest_of, kernel
+from skd_sim.arrays import FloatArray
+from skd_sim.kernels.compilation import arithmetic_digest, digest_of, kernel
+from skd_sim.kernels.stream import Stream, stream_of
 
 NUMBERS = """
 GRAVITY = 9.81
@@ -143,7 +146,7 @@ def step2(value: float) -> float:
 
 def test_two_models_of_one_name_do_not_share_code_on_disk(compiled):
     """They come one after the other, in processes of their own."""
-    other = MODEL.replace('{"_step": step}', '{"_step": step2}') + ""
+    other = MODEL.replace('{"_step": step}', '{"_step": step2}')
     other = other.replace(
         "_step = None", "@kernel\ndef step2(parameters, seconds):\n    return seconds\n\n_step = None", 1
     )
@@ -212,3 +215,72 @@ def test_a_cache_that_cannot_be_written_costs_time_only(mine):
     done = run(mine, "full.py")
     assert float(done.stdout) == pytest.approx(139.24), done.stderr
     assert kept(mine) == set()
+
+
+_COUNT = 3000  # normals beyond the ziggurat's last layer, 1 in 3,700, are drawn by another way: twice that many draws
+
+
+@kernel
+def _draw(reals: FloatArray, halves: np.ndarray, rng: np.random.Generator) -> None:
+    for i in range(reals.shape[0]):
+        reals[i, 0] = rng.random()
+        reals[i, 1] = rng.standard_normal()
+        halves[i] = rng.integers(0, 1_000_000, dtype=np.int32)  # of 32 bits: every other one is kept for the next call
+        reals[i, 2] = rng.standard_normal()
+
+
+def _drawn(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
+    reals, halves = np.empty((_COUNT, 3)), np.empty(_COUNT, np.int32)
+    _draw(reals, halves, rng)
+    return reals, halves
+
+
+def _generators() -> tuple[np.random.Generator, np.random.Generator]:
+    return np.random.Generator(np.random.PCG64(30)), np.random.Generator(np.random.PCG64(30))
+
+
+def test_kernels_draw_from_a_stream_what_numpy_draws() -> None:
+    numpys, ours = _generators()
+    reals, halves = _drawn(stream_of(ours))
+    for real, half in zip(reals.tolist(), halves.tolist(), strict=True):
+        assert real[0] == numpys.random()
+        assert real[1] == numpys.standard_normal()
+        assert half == numpys.integers(0, 1_000_000, dtype=np.int32)
+        assert real[2] == numpys.standard_normal()
+    assert ours.bit_generator.state == numpys.bit_generator.state
+
+
+def test_generator_and_stream_draw_in_turns() -> None:
+    expected, ours = _generators()
+    stream = stream_of(ours)
+    assert isinstance(stream, Stream)
+    for turn in range(6):
+        ours.integers(0, 10, dtype=np.int32) if turn % 2 else stream.integers(0, 10, dtype=np.int32)
+        expected.integers(0, 10, dtype=np.int32)
+        _drawn(stream)
+        _drawn(expected)
+    assert ours.bit_generator.state == expected.bit_generator.state
+
+
+def test_a_stream_keeps_its_generator_alive() -> None:
+    stream = stream_of(np.random.Generator(np.random.PCG64(30)))
+    expected, _ = _generators()
+    ballast = [np.full(16, 7, np.uint64) for _ in range(1000)]  # where a freed state would have been
+    np.testing.assert_array_equal(_drawn(stream)[0], _drawn(expected)[0])
+    assert len(ballast) == 1000
+
+
+@pytest.mark.parametrize(("module", "name"), [(math, "sin"), (math, "lgamma"), (np, "exp"), (np, "arctan2")])
+def test_one_bit_in_one_value_of_one_function_is_another_digest(monkeypatch, module, name):
+    before, function, calls = arithmetic_digest(), getattr(module, name), []
+
+    def off_by_one_bit(*arguments):
+        calls.append(arguments)
+        exact = function(*arguments)
+        if isinstance(exact, float):
+            return math.nextafter(exact, math.inf) if len(calls) == 500 else exact
+        exact[500] = np.nextafter(exact[500], np.inf)
+        return exact
+
+    monkeypatch.setattr(module, name, off_by_one_bit)
+    assert arithmetic_digest() != before
