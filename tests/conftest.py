@@ -43,21 +43,30 @@ _LONGEST = (
 
 
 @pytest.fixture(scope="session", autouse=True)
-def undrawn() -> None:
-    """Let only tests that look at pictures draw them."""
-    from undrawn import leave_undrawn  # which imports matplotlib: not in the process that only hands out tests
+def shortened() -> None:
+    """Let only tests that look at pictures draw them, and only those of the price of caution drive all its runs."""
+    from shortened import shorten  # which imports much: not in the process that only hands out tests
 
-    leave_undrawn()
+    shorten()
 
 
 @pytest.fixture
 def pictures_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw pictures."""
     import vl_convert
-    from undrawn import CHART, DRAW, Figure
+    from shortened import CHART, DRAW, Figure
 
     monkeypatch.setattr(Figure, "savefig", DRAW)
     monkeypatch.setattr(vl_convert, "vegalite_to_png", CHART)
+
+
+@pytest.fixture
+def all_harmless_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drive as many harmless runs as for a user."""
+    from shortened import RUNS, price
+
+    for name, count in RUNS.items():
+        monkeypatch.setattr(price, name, count)
 
 
 def _turn(item: pytest.Item) -> int:

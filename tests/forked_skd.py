@@ -47,21 +47,17 @@ _FIRST = (
 class ForkedSkd:
     """A running command, as `subprocess.Popen` would be that captures its output as text."""
 
-    def __init__(
-        self, arguments: Sequence[str], *, cwd: Path, environment: Mapping[str, str], harmless: int | None = None
-    ) -> None:
+    def __init__(self, arguments: Sequence[str], *, cwd: Path, environment: Mapping[str, str]) -> None:
         """Start it.
 
         Args:
             arguments: of the command line, without `skd`.
             cwd: folder to run in.
             environment: all of its variables.
-            harmless: how many harmless runs the price of caution takes; as many as for a user, by default.
         """
         assert [environment.get(name) for name in _FIXED] == [os.environ.get(name) for name in _FIXED]
         self._words = ["skd", *arguments]
-        words = {"arguments": [*arguments], "cwd": str(cwd), "environment": {**environment}, "harmless": harmless}
-        request = json.dumps(words).encode()
+        request = json.dumps({"arguments": [*arguments], "cwd": str(cwd), "environment": {**environment}}).encode()
         self._out, self._err = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
         self._keeper = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._keeper.connect(_server())
@@ -120,7 +116,7 @@ def _serve(address: str) -> int:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         listener.bind(address)
         listener.listen()
-        importlib.import_module("undrawn").leave_undrawn()
+        importlib.import_module("shortened").shorten()
         _prepare(path)
         os.write(1, b"ready\n")
         while listener in select.select([listener, 0], [], [])[0]:
@@ -182,9 +178,6 @@ def _become(request: Mapping[str, Any], descriptors: Sequence[int], path: Sequen
     sys.path[:] = [str(Path.cwd()), *(added.split(os.pathsep) if added else ()), *path]
     importlib.invalidate_caches()
     module = importlib.import_module("skd_evaluator")
-    if request["harmless"]:
-        price: Any = importlib.import_module("skd_evaluator.assessment.stages.price")
-        price.RUNS = price.GRAPH_RUNS = request["harmless"]
     words = ["-m", "skd_evaluator", *request["arguments"]]
     sys.argv[:] = [str(Path(module.__path__[0], "__main__.py")), *request["arguments"]]
     sys.orig_argv[:] = [sys.executable, *words]

@@ -146,16 +146,13 @@ def skd_command(*arguments: object) -> list[str]:
 
 
 class Skd:
-    """A running `skd` with a token and a domain of its own, in a process forked from one that has imported it.
-
-    Of harmless runs, which are most of what a small campaign drives, it has one of each kind.
-    """
+    """A running `skd` with a token and a domain of its own, in a process forked from one that has imported it."""
 
     def __init__(self, *arguments: object, environment: Mapping[str, str | None] | None = None) -> None:
         """Start it with variables of its own, as a program."""
         self._token = uuid.uuid4().hex
         words, variables = [str(word) for word in arguments], _variables(self._token, environment)
-        self._process = ForkedSkd(words, cwd=Path.cwd(), environment=variables, harmless=5)
+        self._process = ForkedSkd(words, cwd=Path.cwd(), environment=variables)
 
     def send_signal(self, number: int) -> None:
         """Send a signal to it alone."""

@@ -36,6 +36,7 @@ class Vendor:
 def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None:
     """With its own control period too: the motion is that of the same law in process, to the last bit."""
     run = ("episode", "--mode", "replay", "--safe", safe, "--controller", "external", "--controller-command", NODE)
+    run += ("--adversary-model", "generic")
     field = ("-p", "command_field:=longitudinal.acceleration", "-p", "command_steering:=steering_tire_angle")
     done = skd(*run, *VENDOR, *field, "-p", "control_period:=0.1", "--out", tmp_path / "out")
     assert done.code == 0, done.err

@@ -47,6 +47,7 @@ def graph() -> Iterator[int]:
     assert [program.finish().code for program in programs] == [0, 0, 0]
 
 
+@pytest.mark.usefixtures("all_harmless_runs")
 def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int, capsys: pytest.CaptureFixture[str]) -> None:
     counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "simulations": 300, "seed": 11}
     finished = node("evaluator", graph, **counts, multiplier=0.875, out=tmp_path / "node").finish()
