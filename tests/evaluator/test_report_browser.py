@@ -6,8 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from axe import RULES, axe_source, serious_findings
-from browser import Opened, chromium, open_page
+from browser import RULES, Opened, axe_source, chromium, open_page, serious_findings
 from skd_evaluator.extensions.ncap.page import render as regulators_view
 from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell
 from skd_evaluator.report.html import page

@@ -1,6 +1,8 @@
-"""The Docker image, made step by step: colcon builds and tests the workspace, and containers run what is installed.
+"""The Docker image, made step by step without Docker: colcon builds and tests, and containers run what is installed.
 
-Against the environment's own ROS 2, or against one that is sourced.
+Its COPY and RUN steps, of the user that docker/Dockerfile makes, are run in a folder of their own. Where no ROS 2 is
+sourced, this environment's takes the place of /opt/ros/jazzy. Packages of Python are those of this environment: SKD
+alone is installed, by the steps themselves.
 """
 
 from __future__ import annotations
@@ -8,23 +10,234 @@ from __future__ import annotations
 import ast
 import importlib.util
 import json
+import os
 import re
 import shlex
 import shutil
 import signal
+import subprocess
 import sys
+import sysconfig
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 import yaml
 from common import PATIENCE, new_domain
-from image_support import BIN, DOCKERFILE, Image, build_image, context, image_folder, signal_group, value
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.ros_environment.installation import ensure_ros
+from skd_sim.ros_environment.installation import cmake_prefix, ensure_ros, environment_digest, locked
+from skd_sim.ros_environment.variables import is_sourced, node_variables
+
+BIN = Path(sys.executable).parent
+_PYTHON = """#!/bin/bash
+# The Python that makes the image's environment: its packages come from the environment of the tests.
+if [ "$1 $2" = "-m venv" ]; then
+    {python} -m venv --without-pip "$3" && echo {packages} >"$3/lib/{version}/site-packages/of_the_tests.pth"
+elif [ "$1 $2" = "-m pip" ]; then
+    words=()
+    for word; do [ "$word" = "numpy<2" ] || words+=("$word"); done
+    exec {python} "${{words[@]}}" --no-deps --no-index --no-build-isolation
+else
+    exec {python} "$@"
+fi
+"""
+
+
+def instructions(text: str) -> list[tuple[str, str]]:
+    """Return a Dockerfile's instructions and their arguments."""
+    lines = "\n".join(line for line in text.splitlines() if not line.startswith("#"))
+    found = (line.strip() for line in re.sub(r"\\\n\s*", "", lines).splitlines())
+    return [(word, rest.strip()) for word, _, rest in (line.partition(" ") for line in found if line)]
+
+
+DOCKERFILE = instructions((ROOT / "docker" / "Dockerfile").read_text(encoding="utf-8"))
+HOME = next(rest for word, rest in DOCKERFILE if word == "WORKDIR")
+
+
+def value(word: str) -> list[str]:
+    """Return the words of the last instruction of a kind, which is a list in JSON, perhaps behind options."""
+    (rest,) = [rest for name, rest in DOCKERFILE if name == word]
+    return list(json.loads(rest[rest.index("[") :]))
+
+
+def context() -> list[str]:
+    """Return the files that a build sees, by their names in the checkout: what .dockerignore lists is not there."""
+    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    ).stdout.split("\0")  # fmt: skip
+
+    def is_ignored(name: str) -> bool:
+        parts = name.split("/")
+        paths = ["/".join(parts[: end + 1]) for end in range(len(parts))]
+        return any(
+            fnmatch(part, pattern[3:]) if pattern.startswith("**/") else fnmatch(path, pattern)
+            for pattern in ignored
+            for path, part in zip(paths, parts, strict=True)
+        )
+
+    return [name for name in listed if name and (ROOT / name).is_file() and not is_ignored(name)]
+
+
+@dataclass(frozen=True)
+class Image:
+    """What the steps made.
+
+    Attributes:
+        folder: takes the place of the image's working folder.
+        variables: of its processes, before any file is sourced.
+    """
+
+    folder: Path
+    variables: dict[str, str]
+
+    @property
+    def workspace(self) -> Path:
+        """The workspace in which colcon has built."""
+        return self.folder / "ros_ws"
+
+    def executable(self, package: str, name: str) -> Path:
+        """Return an installed executable."""
+        return self.workspace / "install" / package / "lib" / package / name
+
+    def start(self, *command: object, **variables: str) -> subprocess.Popen[str]:
+        """Start a container's command: by the entry point, in the working folder."""
+        return subprocess.Popen(
+            [*map(self.local, value("ENTRYPOINT")), *map(str, command)],
+            cwd=self.folder,
+            env={**self.variables, **variables},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+
+    def run(self, *command: object, **variables: str) -> subprocess.CompletedProcess[str]:
+        """Run a container's command to its end."""
+        with self.start(*command, **variables) as process:
+            try:
+                output, _ = process.communicate(timeout=PATIENCE)
+            finally:
+                signal_group(process, signal.SIGKILL)
+        lines = [line for line in output.splitlines(keepends=True) if "RTPS_TRANSPORT_SHM" not in line]  # not our words
+        return subprocess.CompletedProcess(process.args, process.returncode, "".join(lines))
+
+    def local(self, text: str) -> str:
+        """Return a text with the image's paths as they are here."""
+        text = text.replace(HOME, str(self.folder)).replace(" /tmp/", f" {self.folder}/tmp/")
+        return text if is_sourced() else text.replace("/opt/ros/", f"{self.folder}/opt/ros/")
+
+
+def signal_group(process: subprocess.Popen[str], number: int) -> None:
+    """Signal a process and what it has started, as Ctrl-C in a terminal does; nothing where all of it has ended."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, number)
+
+
+@contextmanager
+def image_folder(empty: Path) -> Iterator[Path]:
+    """Yield where to build: a folder of the environment that has but a messages' package that was built before.
+
+    It is named for all that decides how the messages are built. Where a ROS 2 is sourced, `empty` takes its place.
+    """
+    if is_sourced():
+        yield empty
+        return
+    folder = Path(sys.prefix, "image", environment_digest()[:16])
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder / ".lock", "building the image"):
+        built = folder / "ros_ws" / "install" / "skd_msgs"
+        kept = {"opt", "ros_ws"} if built.exists() else set()
+        old = [one for one in folder.iterdir() if one.name not in {".lock", *kept}]
+        for one in (*old, *folder.glob("ros_ws/[!bi]*"), *folder.glob("ros_ws/[bi]*/skd_[!m]*")):
+            shutil.rmtree(one) if one.is_dir() else one.unlink()
+        yield folder
+
+
+def build_image(folder: Path) -> Image:
+    """Take the steps of the Dockerfile in a folder of `image_folder`.
+
+    Raises:
+        AssertionError: a step fails; with what it printed.
+    """
+    image = Image(folder, _variables(folder))
+    (folder / "tmp").mkdir()
+    user = ""
+    for word, rest in DOCKERFILE:
+        if word == "USER":
+            user = rest
+        if not user or word not in ("COPY", "RUN"):
+            continue  # of the system, or no step
+        if word == "COPY":
+            _copy(image, [part for part in rest.split() if not part.startswith("--")])
+            continue
+        done = subprocess.run(
+            ["/bin/bash", "-c", image.local(rest)],
+            cwd=folder, env=image.variables, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PATIENCE,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{word} {rest}\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
+    return image
+
+
+def _copy(image: Image, words: list[str]) -> None:
+    """Copy files of the build's context, as COPY does: the content of a folder, each file by its own name."""
+    *sources, target = words
+    into = image.folder / target
+    for source in sources:
+        names = [name for name in context() if source == "." or name == source or name.startswith(f"{source}/")]
+        assert names, f"COPY {source}: not in the build's context"
+        for name in names:
+            place = into / (
+                Path(name).name if name == source else name if source == "." else Path(name).relative_to(source)
+            )
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, place)
+            if place.suffix == ".sh":
+                place.write_text(image.local(place.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def _variables(folder: Path) -> dict[str, str]:
+    """Return a container's variables, and make what stands for the system's part of the image."""
+    ours = {key: text for key, text in os.environ.items() if not key.startswith(("SKD_", "COLCON_", "PYTHON"))}
+    if "SKD_CACHE_DIR" in os.environ:
+        ours["SKD_CACHE_DIR"] = os.environ["SKD_CACHE_DIR"]
+    ours |= {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    python = folder / "python"
+    paths = sysconfig.get_paths()
+    python.write_text(
+        _PYTHON.format(
+            python=shlex.quote(sys.executable),
+            packages=shlex.quote(paths["purelib"]),
+            version=f"python{sys.version_info.major}.{sys.version_info.minor}",
+        )
+    )
+    python.chmod(0o755)
+    ours["SKD_PYTHON"] = str(python)
+    if is_sourced():
+        return {**ours, "PATH": os.pathsep.join(part for part in ours["PATH"].split(os.pathsep) if Path(part) != BIN)}
+    prefix = folder / "opt" / "ros" / "jazzy"
+    if not prefix.exists():
+        prefix.mkdir(parents=True)
+        cmake_prefix(prefix)
+    sourced = {
+        "ROS_DISTRO": "jazzy",
+        "AMENT_PREFIX_PATH": str(prefix),
+        "CMAKE_PREFIX_PATH": str(prefix),
+        "CMAKE_GENERATOR": "Ninja",
+        "VIRTUAL_ENV": sys.prefix,  # where CMake looks for Python
+        "LD_LIBRARY_PATH": node_variables({})["LD_LIBRARY_PATH"],
+    }
+    lines = [f"export {name}={shlex.quote(text)}" for name, text in sourced.items()]
+    (prefix / "setup.bash").write_text("\n".join([*lines, f'export PATH={shlex.quote(str(BIN))}:"$PATH"', ""]))
+    return ours
+
 
 SERVICES = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))["services"]
 LAUNCH = ("launch", "launch_ros", "ros2cli", "ros2launch", "ros2run")
