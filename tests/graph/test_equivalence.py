@@ -204,7 +204,8 @@ def test_other_kinds_and_others_are_the_same_to_the_last_bit(tmp_path: Path, nam
     """Through the graph, and in its recordings."""
     wanted = []
     for index, name in enumerate(names):
-        plan = Plan(load_scenario(name), multiplier=0.5, safe=safe, safe_count=1, seed=11, simulations=100)
+        small = {"multiplier": 0.5, "safe_count": 1, "seed": 11, "simulations": 100}
+        plan = Plan(load_scenario(name), safe=safe, objective=Objective.DEVIATION, **small)
         (phi,) = safe_trajectories(plan, InProcessRunner(1))
         wanted += [single_episode(plan, mode, index, phi) for mode in (Mode.REPLAY, Mode.KAMIKAZE)]
     logs = same_in_recordings(tmp_path, "basic", wanted)
