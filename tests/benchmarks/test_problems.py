@@ -7,11 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from model_steps import step
 from planning import PROBLEMS, run_episode
 from problems import rock_sample
 from problems.sub_hunt import sub_hunt
-from skd_adversary.pomdp.model import check_model
+from skd_adversary.pomdp.model import Pomdp, check_model
+
+
+def step(model: Pomdp, state: list[float], action: int) -> tuple[float, bool, list[float]]:
+    """Return reward, whether it ends there, and the next state; what is drawn is the same each time."""
+    after = np.empty(model.state_dim)
+    reward, terminal = model.step(model.parameters, np.array(state, float), action, after, np.random.default_rng(0))
+    return reward, terminal, after.tolist()
+
 
 SIGMAS = 4.5  # binomial bounds: 7e-6 each, a few hundred of them
 
