@@ -113,7 +113,7 @@ def locked(file: Path, what: str) -> Iterator[None]:
 
 
 def _add() -> None:
-    compiler, packages = find_compiler(), built_packages()
+    compiler, packages, digest = find_compiler(), built_packages(), environment_digest()
     how_long = "a minute" if compiler else "three minutes: no C++ compiler is installed, so one is fetched as well"
     print(f"skd: adding ROS 2 Jazzy to {sys.prefix} (once, about {how_long})", file=sys.stderr)
     log = Path(sys.prefix, "ros.log")
@@ -126,7 +126,7 @@ def _add() -> None:
         install(_COMPILER, log, "--only-binary", ":all:")
     build_messages(packages, compiler, Path(sys.prefix), log)
     temporary = _stamp().with_suffix(f".{os.getpid()}")
-    temporary.write_text(environment_digest(), encoding="utf-8")
+    temporary.write_text(digest, encoding="utf-8")
     temporary.replace(_stamp())
 
 

@@ -172,11 +172,20 @@ class Drive(NamedTuple):
 def undisturbed_drives(plan: Plan, runner: Runner) -> list[Drive]:
     """Return how a car drives that has the road for itself, the slowest first.
 
+    The adversary is far behind it, or, where the car slows down for that, far ahead: it is no matter for which it does.
+
     Raises:
         AssessmentError: the car fails.
     """
+    behind = _drives(plan, runner, -_FAR)
+    if not any(drive.slows for drive in behind):
+        return behind
+    return max(behind, _drives(plan, runner, _FAR), key=lambda drives: [drive.last for drive in drives])
+
+
+def _drives(plan: Plan, runner: Runner, along: float) -> list[Drive]:
     found = []
-    for log in runner.run([_undisturbed(plan, number) for number in range(DRIVES)]):
+    for log in runner.run([_undisturbed(plan, number, along) for number in range(DRIVES)]):
         if log.outcome == Outcome.ABORTED:
             raise AssessmentError(log.reason)
         found.append(Drive(*log.car[[0, -1], 3].tolist()))
@@ -208,13 +217,13 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
     return (f"{line}: how far people may deviate, and how seldom they are hit, is due to that, too",)
 
 
-def _undisturbed(plan: Plan, number: int) -> EpisodeSpec:
-    """Return an episode without road users on the road, and the adversary stands a kilometre behind and beside it."""
+def _undisturbed(plan: Plan, number: int, along: float) -> EpisodeSpec:
+    """Return an episode without road users: the adversary stands far beside the road, at a path coordinate (m)."""
     clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
     public = replace(clocked, others=())
     scenario = replace(public, car=replace(public.car, meet_safe_trajectory=False))
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
-    away = np.tile([-_FAR * scenario.end.crossing, -_FAR], (ticks + 1, 1))
+    away = np.tile([-_FAR * scenario.end.crossing, along], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "undisturbed")
     return EpisodeSpec(
         scenario,
