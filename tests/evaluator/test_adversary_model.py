@@ -53,8 +53,8 @@ def values(**said: object) -> dict[str, object]:
     ("said", "adversary_model"),
     [
         ({}, "exact"),
-        ({"controller": "cal"}, "learned"),
-        ({"controller": "external"}, "learned"),
+        ({"controller": "cal"}, "generic"),
+        ({"controller": "external"}, "generic"),
         ({"controller": OWN, "adversary_model": "generic"}, "generic"),
         ({"adversary_model": "generic"}, "generic"),
         ({"adversary_model": "learned"}, "learned"),

@@ -117,9 +117,7 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     if car.is_external and not plain.get("name"):
         plain["name"] = name_of_command(plain.get("controller_command") or "")
     requested = plain.get("adversary_model")
-    known = (
-        AdversaryModel(requested) if requested else AdversaryModel.LEARNED if model else default_adversary_model(car)
-    )
+    known = AdversaryModel(requested) if requested else default_adversary_model(car, plain["car_model"])
     check_adversary_model(known, car, model=model)
     plain["adversary_model"] = str(known)
     if model:

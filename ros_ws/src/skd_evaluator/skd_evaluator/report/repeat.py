@@ -89,7 +89,7 @@ def _prefix(figures: Mapping[str, Any], words: list[str]) -> list[str]:
         "car_model": CAR_MODEL_FILE if figures["car_model"] else "",
     }
     known = AdversaryModel(figures["adversary_model"])
-    if not figures["car_model"] and known != default_adversary_model(CarUnderTest(str(figures["controller"]))):
+    if known != default_adversary_model(CarUnderTest(str(figures["controller"])), str(figures["car_model"] or "")):
         values["adversary_model"] = known
     for one in options_of(CampaignOptions):
         if "episode" in one.commands and one.name in values:

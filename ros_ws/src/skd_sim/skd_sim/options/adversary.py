@@ -19,23 +19,16 @@ class AdversaryModel(StrEnum):
     EXACT = "exact"  # the law by which the car brakes, and C
 
 
-def implied_adversary_model(car: CarUnderTest, car_model: str) -> AdversaryModel:
-    """Return the adversary model of an episode that states none.
-
-    Learned with a car model, exact where C is known, else generic.
+def default_adversary_model(car: CarUnderTest, car_model: str) -> AdversaryModel:
+    """Return the adversary model by default: learned with a car model, exact where C is known, else generic.
 
     Args:
         car: the car under test.
-        car_model: text of the model that the episode carries; empty: none.
+        car_model: text or path of the model that is given; empty: none.
     """
     if car_model:
         return AdversaryModel.LEARNED
     return AdversaryModel.EXACT if car.is_known else AdversaryModel.GENERIC
-
-
-def default_adversary_model(car: CarUnderTest) -> AdversaryModel:
-    """Return the adversary model of an assessment by default: exact where C is known, else learned."""
-    return AdversaryModel.EXACT if car.is_known else AdversaryModel.LEARNED
 
 
 def check_adversary_model(adversary_model: AdversaryModel, car: CarUnderTest, *, model: bool) -> None:

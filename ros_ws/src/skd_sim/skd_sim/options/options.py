@@ -22,7 +22,7 @@ from skd_sim.options.adversary import (
     OBJECTIVES,
     AdversaryModel,
     Objective,
-    implied_adversary_model,
+    default_adversary_model,
 )
 from skd_sim.options.car_under_test import DEFAULT, SIMULATORS, WORLD, CarUnderTest, ControllerName
 from skd_sim.options.registry import Registry
@@ -223,7 +223,7 @@ class EpisodeOptions:
         metavar="{" + ",".join(AdversaryModel) + "}",
         group="car and test",
         commands=("assess", "episode"),
-        unset="exact if basic, else learned",
+        unset="exact if basic, else generic",
         marks=(PLANNING,),
     )
     simulations: int = option(
@@ -280,7 +280,7 @@ class EpisodeOptions:
     @property
     def resolved_adversary_model(self) -> AdversaryModel:
         """What the adversary plans with: `adversary_model`, or what is implied where that is None."""
-        return self.adversary_model or implied_adversary_model(self.car, self.car_model)
+        return self.adversary_model or default_adversary_model(self.car, self.car_model)
 
 
 def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
@@ -338,7 +338,7 @@ def shared_options(source: EpisodeOptions) -> dict[str, Any]:
 def further_options(source: EpisodeOptions) -> dict[str, Any]:
     """Return, as plain data, the options that messages and results have no field for and that are not as by default."""
     known = {one.name: (one, getattr(source, one.name)) for one in options_of(EpisodeOptions) if one.name not in FIELDS}
-    if source.adversary_model == implied_adversary_model(source.car, source.car_model):
+    if source.adversary_model == default_adversary_model(source.car, source.car_model):
         del known["adversary_model"]
     return {name: one.plain(value) for name, (one, value) in known.items() if value != one.default}
 
