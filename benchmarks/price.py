@@ -45,10 +45,8 @@ def main() -> None:
             ends = [one.time_lost_ci95 or (lost, lost) for one in found]
             held = sum(low <= lost <= high for low, high in ends) / len(found)
             shown = "[{:.2f}, {:.2f}]".format(*ends[0]) if len(found) == 1 else "–"
-            print(
-                f"| {name} | {lost:.2f} | {shown} | {slow:.2f} | {needless:.0%} | {deadlock:.0%} | {held:.0%} |",
-                flush=True,
-            )
+            cells = f"{lost:.2f} | {shown} | {slow:.2f} | {needless:.0%} | {deadlock:.0%} | {held:.0%}"
+            print(f"| {name} | {cells} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -171,21 +171,6 @@ class Confirms(Law):
         return -7.0 if self._count >= self.DECISIONS else self.cruise(speed)
 
 
-class Forgets(Law):
-    """Forgets whoever left its lane once."""
-
-    def begin(self) -> None:
-        """Forget all."""
-        self._was_inside = self._gone = False
-
-    def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
-        inside = abs(self.left) < self.reach + 0.6
-        self._gone |= self._was_inside and not inside
-        self._was_inside = inside
-        return -5.0 if not self._gone and self.near(14.0, 4.0) else self.cruise(speed)
-
-
 class Waits(Law):
     """Stops for a second, and goes on."""
 
@@ -308,12 +293,6 @@ class CarefulDriver(Law):
         return -share * self.MOST if share else self.cruise(speed)
 
 
-class VerySlow(Slow):
-    """Drives more slowly."""
-
-    SHARE = 0.35
-
-
 class PromptFar(Prompt):
     """Keeps more room."""
 
@@ -345,9 +324,8 @@ class OverlooksStandingFar(OverlooksStanding):
 
 
 _LAWS = (
-    Slow, VerySlow, Prompt, PromptFar, Delayed, Sluggish, Blinks, Detector, PoorDetector, Tracker, Camera, Confirms,
-    Forgets, Waits, OverlooksStanding, OverlooksStandingFar, OverlooksAlong, OverlooksWhileAlong, CrossingTime,
-    Hysteresis, Turns,
+    Slow, Prompt, PromptFar, Delayed, Sluggish, Blinks, Detector, PoorDetector, Tracker, Camera, Confirms, Waits,
+    OverlooksStanding, OverlooksStandingFar, OverlooksAlong, OverlooksWhileAlong, CrossingTime, Hysteresis, Turns,
 )  # fmt: skip
 MEMORY_CARS = (
     *(
@@ -358,4 +336,4 @@ MEMORY_CARS = (
     ),
     Car("CarefulDriver", "CarefulDriver", "cars.memory:CarefulDriver", scenario_name="cut_in"),
 )
-"""Twenty-two cars of sixteen families."""
+"""Twenty cars of fifteen families."""
