@@ -191,7 +191,6 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
     r".* sumo_drivers:Krauss --adversary-model": "examples/sumo/README.md has it in fewer words",
-    r".* --scenario prompt.yaml": "of a file that the reader makes, and of results of a benchmark",
     r".*\.venv-commonroad": "an environment of its own: tests/examples/test_commonroad_planner.py runs there",
 }
 _POLICY = ROOT / "docs" / "python_policy.md"

@@ -10,7 +10,7 @@ from skd_evaluator.cli.main import main
 @pytest.mark.parametrize(
     ("content", "parts"),
     [
-        (None, ["phi.csv", "No such file"]),
+        (None, ["phi.csv", "no such file"]),
         ("a,b\n0,1\n", ["phi.csv, line 1", "'t'"]),
         ("t,x,y\n0,-3,0\n0.3,-2,0\noops,-1,0\n", ["phi.csv, line 4", "t must be a number", "'oops'"]),
         ("t,x,y\n0,-3,0\n0.3,nan,0\n0.6,3,0\n", ["phi.csv, line 3", "x must be finite", "nan"]),

@@ -100,8 +100,7 @@ def test_a_mean_of_what_is_none_is_refused(numbers, none, place):
 def test_a_measure_without_a_value_counts_as_undefined_and_not_into_the_mean(numbers, more, draw):
     every = [*numbers, *([math.nan] * more)]
     draw.shuffle(every)
-    one = Measured(WARPED, (np.array(every),))
-    figures = one.figures([np.arange(len(every))], 0.95)
+    figures = Measured(WARPED, (np.array(every),), 0.95).as_dict()
     assert figures["mean"] == mean(numbers)
     assert (figures["pairs"], figures["undefined"]) == (len(numbers), more)
-    assert Measured(one.measure, (np.full(more, math.nan),)).figures([np.arange(more)], 0.95)["mean"] is None
+    assert Measured(WARPED, (np.full(more, math.nan),), 0.95).as_dict()["mean"] is None

@@ -54,7 +54,7 @@ def test_margin_and_risk_agree(results):
 def test_risks_of_unlike_behaviour_models_are_not_compared(results):
     found = compare(results["A"], results["C"])
     assert list(found.votes) == ["margin"]
-    assert any("different behaviour models, walkers and others" in line for line in found.lines())
+    assert any("their behaviour models are walkers and others" in line for line in found.lines())
 
 
 def leant(results: dict[str, StoredResult], sign: float, **figures: tuple[float, int]) -> Comparison:

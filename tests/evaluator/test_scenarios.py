@@ -82,7 +82,7 @@ def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -
 
     # In the curve the lane runs from (8, −11.9) to (0, −3.9): from inside out is from the right to the left of it.
     assert len(read((0.0, -9.5), (2.0, -7.5), (4.0, -5.5))) == 9
-    with pytest.raises(UsageError, match=r"walks left, from x = .* turn the order"):
+    with pytest.raises(UsageError, match=r"walks left, from x = .*: mirror it"):
         read((4.0, -5.5), (2.0, -7.5), (0.0, -9.5))
     with pytest.raises(
         UsageError, match=r"never enters the car's path \(1\.15 m to each side of the road's centre line"

@@ -120,7 +120,10 @@ def test_an_episode_at_which_its_process_dies_is_aborted(monkeypatch):
 
 def test_processes_that_die_one_after_the_other_are_the_end():
     lost = []
-    with InProcessRunner(1, isolated=True) as runner, pytest.raises(AssessmentError, match=r"3 starts .*exit code 5"):
+    with (
+        InProcessRunner(1, isolated=True) as runner,
+        pytest.raises(AssessmentError, match=r"3 episodes in a row failed.*exit code 5"),
+    ):
         list(runner.map(dies, range(10), lambda item, reason: lost.append(item)))
     assert len(lost) <= 3
 

@@ -88,7 +88,7 @@ def check_command(line: str) -> None:
         make_parser().parse_args([*command, *(word for word in options if word != "--help")])
     for word in words:
         if re.match(r"(scripts|examples|docker|docs)/", word):
-            assert (ROOT / word).exists(), word
+            assert (ROOT / word.partition(":")[0]).exists(), word
 
 
 def check_parameters(node: str, words: list[str]) -> None:

@@ -63,7 +63,7 @@ def drive(setting, speed, commands, *, duration=TICK, step=0.001):
     car = MultiBodyCar(setting, step=step)
     car.reset(CarState(0.0, 0.0, math.pi / 2, speed))
     rng = np.random.default_rng(0)
-    parts = [car.advance(command, duration, car.draw(rng)) for command in commands]
+    parts = [car.advance((command, 0.0), duration, car.draw(rng)) for command in commands]
     return np.concatenate([parts[0], *(part[1:] for part in parts[1:])]), car
 
 
@@ -107,7 +107,7 @@ def test_energy_never_rises_without_throttle(commands, friction, speed, antilock
     energy = 0.5 * BMW_320I.m * speed**2 + BMW_320I.I_y_w * float(spin @ spin)
     for command in commands:
         for _ in range(30):
-            path = car.advance(command, 0.01, car.draw(rng))
+            path = car.advance((command, 0.0), 0.01, car.draw(rng))
             assert path[1, 3] <= path[0, 3] * (1.0 + 1e-6)
             spin = car.state[WHEELS:]
             after = 0.5 * BMW_320I.m * car.state[SPEED] ** 2 + BMW_320I.I_y_w * float(spin @ spin)

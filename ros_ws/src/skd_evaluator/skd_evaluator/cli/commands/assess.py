@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import threading
 import time
@@ -119,7 +120,7 @@ def _check_resume(arguments: argparse.Namespace) -> None:
             raise UsageError("--resume needs --out: the folder of the assessment to go on with")
         return
     out = Path(arguments.out)
-    kept = _kept_in(out).is_file()
+    kept = os.path.isfile(_kept_in(out))  # noqa: PTH113 - which is false of a name that no file can have
     if arguments.resume and not kept:
         complete = (out / "assessment.json").is_file() and not arguments.overwrite
         why = "it is complete" if complete else "no interrupted assessment is kept"
