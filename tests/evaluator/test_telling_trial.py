@@ -44,7 +44,7 @@ class Same(Before):
     def command(self, car, adversary):
         return super().command(car, adversary)
 '''
-SMALL = ("--safe-count", "2", "--kamikaze-count", "2", "--collision-runs", "2", "--margin-limit", "16", "--seed", "5")
+SMALL = ("--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "1", "--margin-limit", "8", "--seed", "5")
 ONCE = ("--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--margin-limit", "0", "--seed", "5")
 GENERIC = ("--adversary-model", "generic", "--behaviour", "none", "-q")
 

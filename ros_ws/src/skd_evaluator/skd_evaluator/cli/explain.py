@@ -84,7 +84,8 @@ class Explanation:
         words = [program(), "assess", "--controller", episode.controller]
         words += ["--multiplier", f"{episode.multiplier!r}"] if episode.car.has_multiplier else []
         words += ["--scenario", str(folder / SCENARIO_FILE), "--safe", str(folder / TRAJECTORY_FILE)]
-        return shlex.join([*words, "--safe-count", "1", "--seed", str(episode.seed)])
+        words += ["--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--margin-limit", "0"]
+        return shlex.join([*words, "--seed", str(episode.seed)])
 
     def write(self, out: Path) -> None:
         """Write scenario, trajectory, a test for pytest and pictures into a folder of its own."""
