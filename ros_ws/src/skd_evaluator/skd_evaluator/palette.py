@@ -20,7 +20,7 @@ SAFE: Final = BLUE
 KAMIKAZE: Final = VERMILLION
 """ψ."""
 MARGIN: Final = GREEN
-"""Ways of the margin, which nobody planned: the least that would have been enough. Drawn dashed beside ψ."""
+"""Trajectories of the margin: the least deviation that would have been enough. Drawn dashed beside ψ."""
 ALERT: Final = "#A33B00"
 """Of words that must not be missed: a darker vermillion, which can be read on white."""
 BELIEF: Final = PURPLE

@@ -37,7 +37,7 @@ def end_within(seconds: float, code: int) -> contextlib.AbstractContextManager[o
         What takes that back at the end of a `with` statement; without one it stands.
     """
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, or nobody reads it
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, or without a reader
             stream.flush()
     ending = contextlib.ExitStack()
     try:

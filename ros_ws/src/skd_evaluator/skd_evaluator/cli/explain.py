@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from skd_sim.arrays import FloatArray
-from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.margin.telling_trial import TellingTrial
+from skd_evaluator.margin.distinguishing_trial import DistinguishingTrial
 from skd_evaluator.report.drawing import save_picture
 from skd_evaluator.report.episode_pictures import ShownEpisode, save_episode
 from skd_evaluator.report.repeat import SCENARIO_FILE, program
@@ -50,11 +49,11 @@ class Explanation:
 
     hits: str
     misses: str
-    trial: TellingTrial | None
+    trial: DistinguishingTrial | None
 
     @property
     def text(self) -> str:
-        """What tells them apart, in two sentences."""
+        """What tells them apart, in sentences."""
         trial = self.trial
         if trial is None:
             return f"No trial was found in which {self.hits} hits and {self.misses} does not."
@@ -108,20 +107,17 @@ class Explanation:
         save_picture(_side_by_side(trial, self.hits, self.misses), folder / "side_by_side.png")
 
 
-def _shown(trial: TellingTrial, log: EpisodeLog, name: str) -> ShownEpisode:
-    collided = log.outcome == Outcome.COLLISION
-    times = trial.scenario.time_step * np.arange(len(log.adversary), dtype=np.float64)
-    car = log.car.copy()
+def _shown(trial: DistinguishingTrial, log: EpisodeLog, name: str) -> ShownEpisode:
+    step, car, collided = trial.scenario.time_step, log.car, log.outcome == Outcome.COLLISION
+    times = step * np.arange(len(log.adversary), dtype=np.float64)
     if collided:
-        share = (log.impact_time - times[-2]) / (times[-1] - times[-2])
-        car[-1] = car[-2] + share * (car[-1] - car[-2])
-        times[-1] = log.impact_time
+        car, times[-1] = until_contact(car, log.impact_time / step), log.impact_time
     ended = f"hit at {log.impact_speed:.1f} m/s" if log.hit else "no hit"
     title = f"{name}: {ended}, {trial.hit.distance:.2f} m from safe trajectory {trial.number}"
     return ShownEpisode(title, trial.scenario, trial.safe, log.trajectory.positions, car, times, collided)
 
 
-def _side_by_side(trial: TellingTrial, hits: str, misses: str) -> Figure:
+def _side_by_side(trial: DistinguishingTrial, hits: str, misses: str) -> Figure:
     """Return speed, acceleration and gap of both cars over time."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
@@ -133,7 +129,7 @@ def _side_by_side(trial: TellingTrial, hits: str, misses: str) -> Figure:
         times, speed = shown.times, shown.car[:, 3]
         fine = np.linspace(0.0, float(times[-1]), 200)
         panels[0].plot(times, speed, color=colour, ls=style, label=f"{name}{', hits' if log.hit else ''}")
-        panels[1].step(times, _held(np.diff(speed) / np.diff(times)), where="post", color=colour, ls=style)
+        panels[1].stairs(np.diff(speed) / np.diff(times), times, baseline=None, color=colour, ls=style)
         panels[2].plot(fine, shown.distances(fine)[0], color=colour, ls=style)
     for axes, label in zip(panels, ("speed (m/s)", "acceleration (m/s²)", "gap (m)"), strict=True):
         axes.axvline(trial.parts_at, color=palette.BEHIND, lw=1.0)
@@ -142,8 +138,3 @@ def _side_by_side(trial: TellingTrial, hits: str, misses: str) -> Figure:
     panels[0].legend(frameon=False)
     panels[2].set_xlabel("time (s); grey: until then both drive alike")
     return figure
-
-
-def _held(values: FloatArray) -> FloatArray:
-    """Return values of steps with the last one once more, as steps are drawn."""
-    return np.append(values, values[-1:])

@@ -113,7 +113,7 @@ def _likeliest(kept: Sequence[KeptFailure], arguments: argparse.Namespace) -> li
         UsageError: there is none.
     """
     if not kept:
-        raise UsageError(f"--failures: {arguments.path} has none: nobody was hit in crossings of its risk")
+        raise UsageError(f"--failures: {arguments.path} has none: the crossings of its risk have no hit")
     return sorted(range(len(kept)), key=lambda place: (kept[place].rank, place))[: arguments.failures]
 
 

@@ -189,7 +189,7 @@ class Hand:
 
 
 class Controls:
-    """What somebody at the keys wants, from the thread that reads them to the one that drives.
+    """What the keyboard's user wants, from the thread that reads them to the one that drives.
 
     Attributes:
         hand: the adversary that keys move; None where it follows φ.

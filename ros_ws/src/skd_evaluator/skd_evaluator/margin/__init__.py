@@ -1,1 +1,1 @@
-"""The margin: the least deviation with which anybody could have been hit by the moving car."""
+"""The margin: the least deviation with which the moving car could have hit."""

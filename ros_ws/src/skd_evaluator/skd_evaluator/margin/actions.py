@@ -27,7 +27,7 @@ FIRST_HALF: Final = AS_PHI + 1
 MOVE_COUNT: Final = FIRST_HALF + STAY
 """Of a pedestrian: 12."""
 HALF: Final = 0.5
-"""Of the full speed: of somebody who hesitates."""
+"""Of the full speed, of a road user that hesitates."""
 
 assert STAY == ACTION_COUNT - 1  # all actions but the last have a direction, and so a half speed
 

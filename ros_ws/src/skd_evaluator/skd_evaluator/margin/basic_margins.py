@@ -209,7 +209,7 @@ class _NothingInCommonError(Exception):
 
 
 def _guess(plan: Plan) -> int | None:
-    """Return where to begin, in hundredths: a car of a known C is like the basic car with it; None: nobody knows."""
+    """Return where to begin, in hundredths: a car of a known C is like the basic car with it; None: unknown."""
     if not (plan.car.has_multiplier and plan.car.is_known):
         return None
     return min(max(round(100 * plan.car.multiplier), LOWEST), HIGHEST)

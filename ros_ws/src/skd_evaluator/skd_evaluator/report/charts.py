@@ -350,7 +350,7 @@ def risk_of(figures: Mapping[str, Any], scale: float) -> tuple[float, float, flo
     key = f"risk_{scale:g}"
     value, runs = float(figures[key]), figures[f"{key}_ci95_runs"]
     low, high = figures[f"{key}_ci95"] or runs or (value, value)
-    if value == 0.0 and runs:  # of nobody who was hit there is no spread over φ: what the runs tell is more
+    if value == 0.0 and runs:  # without a hit there is no spread over φ: the interval of runs says more
         high = max(high, runs[1])
     return value, float(low), float(high)
 

@@ -187,7 +187,7 @@ class KeptFailure:
 
     @property
     def text(self) -> str:
-        """What somebody did."""
+        """What the road user did."""
         scaled = f", deviations times {self.scale:g}" if self.scale != 1.0 else ""
         return f"as people walk{scaled}: {self.kind}"
 
@@ -200,7 +200,7 @@ class KeptFailure:
 def how_many(people: float) -> str:
     """Return a share of people in words."""
     if people < 5e-4:
-        return f"1 in {1.0 / people:,.0f} people" if people > 1e-9 else "hardly anybody"
+        return f"1 in {1.0 / people:,.0f} people" if people > 1e-9 else "almost nobody"
     if people > 0.995:
         return "nearly all people"
     return f"{percent(people, 0 if people >= 0.01 else 1)} of people"

@@ -171,7 +171,7 @@ def _margin_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]
             )
         if figures["margin_how"]:
             rows.append(FigureRow("margin: what was searched", "", basis=str(figures["margin_how"])))
-        name = f"margin: trials in which nobody is hit within {figures['eta_max']:g} m"
+        name = f"margin: trials without a hit within {figures['eta_max']:g} m"
         rows.append(FigureRow(name, f"{figures['margin_beyond']} of {figures['margin_trials']}"))
         rows += _further(style, figures, Of.MARGIN)
     walked = figures["collision_standing_contacts"]

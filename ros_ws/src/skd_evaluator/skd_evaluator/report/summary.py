@@ -99,5 +99,5 @@ def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car:
 
 
 def _plain(text: str) -> str:
-    """Return text without what XML cannot hold: reasons may have been said by anybody's node."""
+    """Return text without what XML cannot hold: reasons may come from a user's node."""
     return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)

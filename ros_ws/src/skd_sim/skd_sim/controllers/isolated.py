@@ -1,4 +1,4 @@
-"""A child process for code of others: a user's controller, or a simulator that is not SKD's.
+"""A child process for third-party code: a user's controller, or a simulator that is not SKD's.
 
 Whole pieces of work run in the child: an episode, a crossing, the search of a trial. No call of a controller crosses a
 process, so a user's controller is as quick as one of SKD's own. The child may crash, hang, or leave processes behind:

@@ -76,7 +76,7 @@ def takes_batches(controller: object) -> bool:
 
 
 def takes_scene(controller: object) -> bool:
-    """Tell whether a controller wants to see everybody, not only the adversary; it, or who wraps it, says so."""
+    """Tell whether a controller wants to see all road users and not only the adversary, as it or its wrapper says."""
     said = getattr(controller, "takes_scene", None)
     if isinstance(said, bool):
         return said

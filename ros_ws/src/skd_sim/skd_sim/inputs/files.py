@@ -33,7 +33,7 @@ def open_regular(path: Path) -> IO[bytes]:
         UsageError: it cannot be opened, or is a pipe, a device, a socket or a folder.
     """
     try:
-        # Without O_NONBLOCK the opening of a pipe waits for somebody who writes into it.
+        # Without O_NONBLOCK the opening of a pipe waits for a writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError) as error:  # a name with a zero in it
         raise UsageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
@@ -186,7 +186,7 @@ def read_xml(path: Path, largest: int = LARGEST) -> ElementTree.Element:
     content = read_bytes(path, largest)
     try:
         root = ElementTree.fromstring(content)  # expat refuses entities that grow
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that nobody knows
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an unknown encoding
         raise UsageError(f"{path}: not XML that SKD reads: {' '.join(str(error).split())[:160]}") from error
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]

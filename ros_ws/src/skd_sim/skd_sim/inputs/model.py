@@ -29,7 +29,7 @@ ON_LANE = ("lane", "along", "aside")
 
 
 class Frozen:
-    """Base of a model whose objects nobody changes: unknown keys are refused, and a deep copy is the object itself."""
+    """Base of an immutable model: unknown keys are refused, and a deep copy is the object itself."""
 
     __slots__ = ()
     __pydantic_config__ = ConfigDict(extra="forbid")

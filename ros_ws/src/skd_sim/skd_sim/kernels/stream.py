@@ -85,7 +85,7 @@ def _address_of(bits: np.random.BitGenerator) -> int:
 
 @functools.cache
 def _is_as_described() -> bool:
-    """Return whether this numpy keeps a PCG64 on this machine as `PcgState` says; it promises so to nobody."""
+    """Return whether this numpy keeps a PCG64 on this machine as `PcgState` says, which is no part of its interface."""
     if ctypes.sizeof(ctypes.c_void_p) != 8:
         return False
     bits = np.random.PCG64(0x5EED)

@@ -62,7 +62,7 @@ class ControllerName(str):
             return super().__new__(cls, text)
         try:
             path = Path(file).expanduser().absolute()
-        except RuntimeError:  # of a home that nobody has
+        except RuntimeError:  # there is no home folder
             path = Path(file)
         return super().__new__(cls, f"{path}{colon}{name}")
 

@@ -296,7 +296,7 @@ def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, 
 def read_options(
     data: Any, where: str, *tables: Callable[..., Any], path: str = "", listed: bool = False
 ) -> dict[str, Any]:
-    """Return the options in plain data that somebody else has written, by name; None is one that is not given.
+    """Return the options in plain data from outside, by name; None is one that is not given.
 
     Args:
         data: mapping from names of options to plain values.
@@ -366,7 +366,7 @@ def options_from_text(text: str, where: str) -> dict[str, Any]:
 MAP_FRAME = "map"
 """The world frame: ENU (REP 103), with the crossing point as its origin."""
 ADVERSARY_FRAME = "adversary"
-"""The adversary's own frame; no transform leads to it, for it is the truth about somebody else."""
+"""The adversary's own frame; no transform leads to it, for the car must not know it."""
 
 
 class Frames(NamedTuple):
@@ -398,7 +398,7 @@ REAL_TIME = "real_time"
 
 @dataclass(frozen=True, kw_only=True)
 class CommandOptions:
-    """The table of what a car under test publishes, which whoever hears it needs. See `skd_sim.ros.commands`."""
+    """The table of what a car under test publishes, which its subscribers need. See `skd_sim.ros.commands`."""
 
     command_type: str = _command_option(
         "accel_stamped",

@@ -216,7 +216,7 @@ _QOS_OF_PUBLISHER = Cause("quality of service", True, _qos_of_publisher)
 
 
 def _state_subscriptions(seen: Evidence) -> list[tuple[str, str, Any, Any]]:
-    """Return (node, topic, its subscription, our publisher) for each of SKD's states that a node of others hears."""
+    """Return (node, topic, its subscription, our publisher) for each of SKD's states that another node hears."""
     found = []
     for topic in (*_STATES, CLOCK):
         ours = [

@@ -245,7 +245,7 @@ class GraphSimulator:
             stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
             self._applied.publish(acceleration_command((acceleration, steering), stamp))
         self._commands.append((acceleration, steering))
-        try:  # a simulator of others need not know that a command can be two numbers
+        try:  # a simulator that does not steer takes a float
             command: Command = (acceleration, steering) if steering else acceleration
             self._frame = self._simulator.step(command, commands.velocity)
         except (SimulatorError, UsageError) as fault:

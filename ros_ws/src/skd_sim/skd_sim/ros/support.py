@@ -277,5 +277,5 @@ class EpisodeFollower:
                 # Time ran back: another evaluator has begun, and its episode is still on its way. Answering as in the
                 # old one would be wrong.
                 self.episode = None
-        # Only tick 0 of the next episode can come early: everybody waits for everybody there.
+        # Only tick 0 of the next episode can come early: all nodes wait for each other there.
         self._early = [*self._early[-1:], (stamp, item)]

@@ -216,7 +216,7 @@ def message_package() -> MessagePackage:
 
 
 def packages_without_wheel() -> list[MessagePackage]:
-    """Return the messages of others that have no wheel and that SKD uses, with the type hashes of the originals.
+    """Return the third-party messages that SKD uses and that have no wheel, with the type hashes of the originals.
 
     Where SKD is installed in a workspace of ROS 2 they are in its prefixes, and not here.
     """

@@ -43,7 +43,7 @@ class Frame(NamedTuple):
     period: int = 0
 
     def scene(self, scenario: Scenario) -> Scene:
-        """Return everybody; where the others of the scenario are depends on the time alone."""
+        """Return car and road users; where the others of the scenario are depends on the time alone."""
         return Scene(self.car, self.adversary, scenario.others_at(self.tick, self.period))
 
     def impact(self, time_step: float) -> tuple[float, float]:

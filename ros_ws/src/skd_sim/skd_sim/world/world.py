@@ -1,4 +1,4 @@
-"""The world: advances everybody in it, a control period at a time, and says whom the car touched."""
+"""The world: advances car and road users by control periods, and finds the first contact."""
 
 from __future__ import annotations
 

@@ -201,7 +201,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
             found, search = minimal_deviations(episodes, logs, context.workers, context.progress, context.margin_limit)
     except OutOfReachError:
         raise
-    except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
+    except AssessmentError as error:  # a car that fails only in the search still has its other figures
         return replace(assessment, margin_note=f"its search ended: {error}")
     hits = tuple(tuple(found[start : start + each]) for start in range(0, len(found), each))
     margins = Margins(hits, plan.scenario.eta_max, search, assessment.confidence)

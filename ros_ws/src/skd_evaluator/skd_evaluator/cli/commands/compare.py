@@ -156,13 +156,12 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 def explanations(results: Sequence[StoredResult], names: Sequence[str], progress: Progress) -> list[Explanation]:
     """Return the smallest trials in which only one of the first car and another one hits, for each other car."""
     from skd_evaluator.cli.explain import Explanation
-    from skd_evaluator.margin.telling_trial import telling_trials
+    from skd_evaluator.margin.distinguishing_trial import distinguishing_trials
 
     found = []
     for name, other in zip(names[1:], results[1:], strict=True):
-        both = names[0], name
-        for hits, misses, trial in zip(both, both[::-1], telling_trials(results[0], other, progress), strict=True):
-            found.append(Explanation(hits, misses, trial))
+        first_only, second_only = distinguishing_trials(results[0], other, progress)
+        found += [Explanation(names[0], name, first_only), Explanation(name, names[0], second_only)]
     return found
 
 

@@ -1,4 +1,4 @@
-"""`skd import`: recorded tracks of files of others as safe trajectories in the frame `map`."""
+"""`skd import`: recorded tracks from files of other tools, as safe trajectories in the frame `map`."""
 
 from __future__ import annotations
 

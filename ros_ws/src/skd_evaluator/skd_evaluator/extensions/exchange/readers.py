@@ -1,4 +1,4 @@
-"""Finds tracks in files of others: OpenSCENARIO, CommonRoad, OSI, csv, inD and rounD, and recordings of ROS.
+"""Finds tracks in files of other tools: OpenSCENARIO, CommonRoad, OSI, csv, inD and rounD, and recordings of ROS.
 
 Each reader returns every object that a file has: its track, or why it is not read. The layout of inD (Bock et al. 2020)
 and rounD (Krajewski et al. 2020): NN_tracks.csv with trackId, frame, xCenter, yCenter (m) for each object and frame,

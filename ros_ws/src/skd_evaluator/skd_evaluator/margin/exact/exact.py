@@ -1,4 +1,4 @@
-"""The exact margin of the basic car: the least deviation with which anybody could have been hit in a trial.
+"""The exact margin of the basic car: the least deviation with which it could have hit in a trial.
 
 A trial's draws do not depend on what the adversary does, and what the basic car answers to every sequence of moves is
 known. The search is over all of them. If it runs out of memory, which happens where all steps of φ differ,

@@ -1,4 +1,4 @@
-"""Who drives the candidates of a margin's search: processes of this machine, or whoever runs whole episodes."""
+"""How the candidates of a margin's search are driven: in processes of this machine, or as whole episodes."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The report: one HTML file that holds all of it, and asks nobody for anything."""
+"""The report: one self-contained HTML file."""

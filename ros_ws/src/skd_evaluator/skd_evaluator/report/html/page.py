@@ -208,7 +208,7 @@ def _template(name: str) -> str:
 
 
 def _joined(names: Sequence[str]) -> str:
-    """Return the page's own scripts as one, whose names nobody outside sees."""
+    """Return the page's own scripts as one, with private names."""
     return '"use strict";\n(() => {\n' + "\n".join(map(_template, names)) + "\n})();\n"
 
 

@@ -371,7 +371,7 @@ class MetaDriveFrames:
         self.position_error = 0.0
 
     def prepare(self, scenario: Scenario) -> None:
-        """Bring everybody else of a scenario on."""
+        """Bring the road users of a scenario on."""
         self._scenario, self._cast = scenario, self._stage.cast_for(scenario)
         self._middle = 0.5 * (scenario.car.front - scenario.car.rear)  # of the car's body, ahead of its reference point
 
@@ -404,7 +404,7 @@ class MetaDriveFrames:
             self._stage.drive(0.0, self._pedals.pedal(acceleration))
 
     def advance(self) -> States:
-        """Take a step of the physics, at whose end everybody is where they are to be."""
+        """Take a step of the physics, at whose end all road users are where they are to be."""
         if self._holds:
             self._hold()
         vx, vy = self._velocity

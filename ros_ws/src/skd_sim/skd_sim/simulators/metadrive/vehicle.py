@@ -1,4 +1,4 @@
-"""The car under test as MetaDrive drives it, and the bodies of everybody else. Imports MetaDrive.
+"""The car under test as MetaDrive drives it, and the bodies of all other road users. Imports MetaDrive.
 
 The car is MetaDrive's default vehicle, with the scenario's footprint, mass and tyres.
 
@@ -197,7 +197,7 @@ class Placed(BaseTrafficParticipant):
 
 
 class Cast:
-    """Bodies of everybody but the car of a scenario, in an engine's world.
+    """Bodies of all but the car of a scenario, in an engine's world.
 
     Attributes:
         adversary: the adversary's.
@@ -216,7 +216,7 @@ class Cast:
         ]
 
     def _put(self, shape: Shape, height: float, who: Body | None = None) -> Placed:
-        """Return a body that stands in the engine's world: somebody's, or an obstacle's."""
+        """Return a body that stands in the engine's world: a road user's, or an obstacle's."""
         type_name = MetaDriveType.TRAFFIC_OBJECT if who is None else called(who, METADRIVE)
         body: Placed = self._engine.spawn_object(
             Placed, force_spawn=True, shape=shape, height=height, type_name=type_name

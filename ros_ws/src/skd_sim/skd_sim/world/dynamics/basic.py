@@ -92,7 +92,7 @@ GRIP = PEAK_FRICTION * GRAVITY
 WHEELBASE = 2.6 / 4.5
 """Of the car's length: 2.6 m of a compact car of 4.5 m, its axles as far from either end."""
 STEERING_LIMIT, STEERING_RATE = 0.61, 0.6
-"""rad and rad/s at the front wheels: 35°, and 515 °/s at the steering wheel with a ratio of 15, of somebody who evades.
+"""rad and rad/s at the front wheels: 35°, and 515 °/s at the steering wheel (ratio 15), as in an evasive manoeuvre.
 CommonRoad's BMW 320i has 1.066 rad and 0.4 rad/s."""
 SIDE_GRIP = 0.8 * GRAVITY
 """m/s², radius of the friction circle: what passenger cars hold on a dry skid pad."""

@@ -34,7 +34,7 @@ EFFORT = Effort(first=64, limit=256, excursions=128, deepens=False)
 
 
 @dataclass(frozen=True, eq=False)
-class TellingTrial:
+class DistinguishingTrial:
     """A trial in which one car hits and another does not.
 
     Attributes:
@@ -115,13 +115,13 @@ class _Car(NamedTuple):
             public=None,
             controller=self.car.controller,
             multiplier=self.car.multiplier,
-            adversary_model=AdversaryModel.GENERIC,  # nobody plans
+            adversary_model=AdversaryModel.GENERIC,  # nothing is planned
         )
 
 
-def telling_trials(
+def distinguishing_trials(
     first: StoredResult, second: StoredResult, progress: Progress = silent
-) -> tuple[TellingTrial | None, TellingTrial | None]:
+) -> tuple[DistinguishingTrial | None, DistinguishingTrial | None]:
     """Return the smallest trial in which only the first car hits, and that in which only the second does, where found.
 
     Args:
@@ -159,7 +159,7 @@ def _least(
     hits: Sequence[tuple[bytes, FloatArray]],
     runner: Runner,
     progress: Progress,
-) -> TellingTrial | None:
+) -> DistinguishingTrial | None:
     """Return the smallest trial in which one car hits and the other does not; None where none was found."""
     both, found = _BothCars(runner, other), None
     rounds = by_episodes(both, silent)
@@ -178,7 +178,7 @@ def _least(
         if hit is not None and episode is not None:
             shown = replace(episode, scenario=replace(episode.scenario, eta_max=scenario.eta_max))
             hits_log, misses_log = runner.run([car.drives(shown), other.drives(shown)])
-            found = TellingTrial(number, phi, hit, hits_log, misses_log)
+            found = DistinguishingTrial(number, phi, hit, hits_log, misses_log)
             if hit.distance <= ENOUGH:
                 break
     return found

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from cli_support import skd
 from skd_evaluator import load_result
-from skd_evaluator.margin.telling_trial import telling_trials
+from skd_evaluator.margin.distinguishing_trial import distinguishing_trials
 from skd_sim.world.episode import Mode
 
 CARS = '''
@@ -52,10 +52,10 @@ GENERIC = ("--adversary-model", "generic", "--behaviour", "none", "-q")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the results of two cars, and with their comparison."""
-    made = tmp_path_factory.mktemp("telling")
-    (made / "telling_cars.py").write_text(CARS, encoding="utf-8")
+    made = tmp_path_factory.mktemp("versions")
+    (made / "versions.py").write_text(CARS, encoding="utf-8")
     for car in ("Before", "After"):
-        arguments = ("--controller", f"./telling_cars.py:{car}", *SMALL, *GENERIC)
+        arguments = ("--controller", f"./versions.py:{car}", *SMALL, *GENERIC)
         assert skd("assess", *arguments, "--out", car, cwd=made).returncode == 0
     assert skd("compare", "Before", "After", "--explain", "-q", "--out", "compared", cwd=made).returncode == 0
     return made
@@ -65,7 +65,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def only_after(folder: Path) -> dict[str, Any]:
     """What the comparison says of the trial in which only the second car hits."""
     found = json.loads((folder / "compared" / "comparison.json").read_text())["only_one_hits"]
-    assert [one["hits"] for one in found] == ["telling_cars.py:Before", "telling_cars.py:After"]
+    assert [one["hits"] for one in found] == ["versions.py:Before", "versions.py:After"]
     return dict(found[1])
 
 
@@ -73,7 +73,7 @@ def only_after(folder: Path) -> dict[str, Any]:
 def test_any_command_drives_the_trial_again_to_the_bit(folder, only_after, tmp_path, car, hits):
     files = folder / "compared" / only_after["folder"]
     trial = ("--scenario", files / "scenario.yaml", "--safe", files / "trajectory.csv", "--controller")
-    done = skd("assess", *trial, f"./telling_cars.py:{car}", *ONCE, *GENERIC, "--out", tmp_path / "out", cwd=folder)
+    done = skd("assess", *trial, f"./versions.py:{car}", *ONCE, *GENERIC, "--out", tmp_path / "out", cwd=folder)
     assert done.returncode == 0, done.stderr
     episodes = load_result(tmp_path / "out").episodes
     (run,) = np.flatnonzero(episodes.mode == Mode.REPLAY)
@@ -103,5 +103,5 @@ def test_the_written_test_fails_for_the_car_that_hits(folder, only_after, tmp_pa
 
 def test_nothing_tells_a_car_from_another_way_to_write_it(folder):
     before = load_result(folder / "Before")
-    same = replace(before, figures={**before.figures, "controller": f"{folder}/telling_cars.py:Same"})
-    assert telling_trials(before, same) == (None, None)
+    same = replace(before, figures={**before.figures, "controller": f"{folder}/versions.py:Same"})
+    assert distinguishing_trials(before, same) == (None, None)
