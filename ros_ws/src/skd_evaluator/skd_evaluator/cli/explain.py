@@ -129,7 +129,7 @@ def _side_by_side(trial: DistinguishingTrial, hits: str, misses: str) -> Figure:
         times, speed = shown.times, shown.car[:, 3]
         fine = np.linspace(0.0, float(times[-1]), 200)
         panels[0].plot(times, speed, color=colour, ls=style, label=f"{name}{', hits' if log.hit else ''}")
-        panels[1].stairs(np.diff(speed) / np.diff(times), times, baseline=None, color=colour, ls=style)
+        panels[1].stairs(np.diff(speed) / np.diff(times), times, baseline=None, color=colour, ls=style, lw=1.5)
         panels[2].plot(fine, shown.distances(fine)[0], color=colour, ls=style)
     for axes, label in zip(panels, ("speed (m/s)", "acceleration (m/s²)", "gap (m)"), strict=True):
         axes.axvline(trial.parts_at, color=palette.BEHIND, lw=1.0)
