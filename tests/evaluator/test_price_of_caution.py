@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.figure_table import columns
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, warnings, why_no_price
@@ -119,6 +121,12 @@ def test_one_worker_or_two_give_the_same_price() -> None:
 )
 def test_why_there_is_no_price(scenario: str, repeats: bool, said: str) -> None:
     assert said in why_no_price(Plan(scenario=load_scenario(scenario)), repeats=repeats)
+
+
+@pytest.mark.parametrize(("how", "holds"), [({"quiet_time": 0.1}, True), ({"pacing": "real_time"}, True), ({}, False)])
+def test_a_stack_that_does_not_answer_each_state_is_known_for_the_price_would_take_an_hour(how, holds) -> None:
+    runner = InProcessRunner()
+    assert Context(runner, runner, graph=GraphOptions(**how)).holds_commands is holds
 
 
 def made(lost: list[float], kinds: list[str]) -> PriceOfCaution:

@@ -97,6 +97,11 @@ class Context:
     repeats: bool = True
     fresh: Fresh | None = None
 
+    @property
+    def holds_commands(self) -> bool:
+        """Whether the car does not answer each state, as in real time or with a quiet time: an episode takes long."""
+        return self.graph is not None and not self.graph.answers_each_state
+
 
 _Stage = TypeVar("_Stage", bound=Callable[[Context, Any], Any])
 STAGES: Final[dict[int, Callable[[Context, Any], Any]]] = {}

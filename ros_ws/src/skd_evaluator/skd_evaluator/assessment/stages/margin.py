@@ -143,7 +143,7 @@ def _by_whole_episodes(
     Raises:
         AssessmentError: the car fails, or more episodes were aborted than may be.
     """
-    held = context.graph is not None and not context.graph.answers_each_state
+    held = context.holds_commands
     effort = _effort(HELD_COMMANDS if held else WHOLE_EPISODES, context.margin_limit)
     found = search_margins(episodes, logs, by_episodes(runner, context.progress), effort)
     warnings = []
@@ -177,7 +177,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     A car that is a node of its own, or in another simulator than SKD's own world, is searched by whole episodes.
     """
     plan = assessment.for_deviation.plan
-    held = context.graph is not None and not context.graph.answers_each_state
+    held = context.holds_commands
     whole = (context.repeats or held) and (plan.car.is_external or not is_own_world(plan.simulator))
     note = why_no_margin(plan, context.margin_limit, whole_episodes=whole)
     if not note and whole and 2 * len(assessment.reasons) > assessment.episodes:

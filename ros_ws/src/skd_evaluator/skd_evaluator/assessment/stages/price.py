@@ -58,7 +58,7 @@ def why_no_price(plan: Plan, *, repeats: bool) -> str:
     if not plan.scenario.car.start_speed > 0.0:
         return "the price of caution needs a car that starts at some speed"
     if not repeats or not repeats_itself(plan.simulator):
-        return "the price of caution needs drives that repeat themselves: SKD's own world, in lockstep"
+        return "the price of caution needs drives that repeat themselves: SKD's own world, in lockstep by stamps"
     return ""
 
 
@@ -66,7 +66,7 @@ def why_no_price(plan: Plan, *, repeats: bool) -> str:
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the price of caution, or why there is none."""
     plan = assessment.for_deviation.plan
-    why = why_no_price(plan, repeats=context.repeats)
+    why = why_no_price(plan, repeats=context.repeats and not context.holds_commands)
     if why:
         return replace(assessment, price_note=why)
     external = plan.car.is_external
