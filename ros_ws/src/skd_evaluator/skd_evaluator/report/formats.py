@@ -136,7 +136,7 @@ def counted(count: int, thing: str) -> str:
     return f"{count:,} {thing if count == 1 else plural}"
 
 
-NO_RATING = "They are no rating: they depend on who walks, and along φ nobody aims at the car."
+NO_RATING = "They are no rating: they depend on the road user, and along φ none aims at the car."
 
 
 def surrogate_groups(figures: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

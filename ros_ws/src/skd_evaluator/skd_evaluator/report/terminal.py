@@ -71,7 +71,8 @@ def _found(result: Mapping[str, Any], car: str) -> str:
     bound = "" if result["margin_converged"] else "at most "
     interval = result["margin_ci95"]
     around = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{trials} trials, {_trajectories(result)}."
+    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{counted(trials, 'trial')}, "
+    found += f"{_trajectories(result)}."
     if beyond:
         found += f" No hit found in {beyond} of {trials}: each counts as {most}."
     if bound:
