@@ -22,8 +22,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def _command_line() -> Iterator[str]:
-    yield f"\n```text\n{make_parser([]).format_help()}```\n"
-    for name, parser in commands_of(make_parser(["--help-all"])).items():
+    program = make_parser(["--help-all"])
+    yield f"\n```text\n{program.format_help()}```\n"
+    for name, parser in commands_of(program).items():
         yield f"\n## skd {name}\n\n{_prose(parser.description or '')}\n"
         for group in parser._action_groups:
             actions = [action for action in group._group_actions if not isinstance(action, argparse._HelpAction)]

@@ -73,15 +73,27 @@ def test_help_that_cannot_be_written_is_an_error_in_a_line(here, words):
 def test_every_command_explains_itself_in_few_options(capsys):
     assert run_skd("--help") == 0
     names = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
-    assert {"assess", "episode", "probe"} <= set(names)
+    assert {"assess", "episode", "compare"} <= set(names)
     assert len(names) == len(set(names)) <= 18
-    for name in names:
+    assert run_skd("--help-all") == 0
+    everything = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
+    assert set(everything) - set(names) >= {"probe", "sweep"}
+    assert set(everything) == set(commands_of(make_parser()))
+    for name in everything:
         assert run_skd(name, "--help") == 0, name
         said = capsys.readouterr().out
         assert f"usage: skd {name}" in said
         assert len(re.findall(r"^  -", said, re.MULTILINE)) <= 25, name
         assert run_skd(name, "--help-all") == 0, name
         assert len(capsys.readouterr().out) >= len(said) - 60  # of the line that says how many there are
+
+
+def test_skd_alone_prints_its_help(capsys):
+    assert run_skd() == 0
+    alone = capsys.readouterr()
+    assert run_skd("--help") == 0
+    assert alone == capsys.readouterr()
+    assert "assess" in alone.out
 
 
 def test_no_sentence_is_long_and_no_word_private(commands):

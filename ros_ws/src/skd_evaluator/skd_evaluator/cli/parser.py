@@ -83,17 +83,23 @@ def _add(commands: Any, name: str, add: Callable[[Parser], None]) -> None:
 
 
 class _Skd(Parser):
-    """The parser of all commands, whose help has them in groups."""
+    """The parser of all commands, whose help has them in groups; those with `rare=True` only with --help-all."""
 
     def format_help(self) -> str:
         """Return the help."""
         (commands,) = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))
         rows: dict[str, list[str]] = {group: [] for group in GROUPS}
+        hidden = 0
         for one in sorted(commands._choices_actions, key=lambda one: one.dest):
-            rows[commands.choices[one.dest].get_default("group") or GROUPS[-1]].append(f"  {one.dest:<10}{one.help}")
+            found = commands.choices[one.dest]
+            if found.get_default("rare") and not self.everything:
+                hidden += 1
+            else:
+                rows[found.get_default("group") or GROUPS[-1]].append(f"  {one.dest:<10}{one.help}")
         lines = [f"usage: skd COMMAND [options]\n\n{self.description}"]
-        lines += ["\n".join(["", group, *found]) for group, found in rows.items() if found]
-        return "\n".join([*lines, "", "skd COMMAND --help explains a command, skd --version names the version.", ""])
+        lines += ["\n".join(["", group, *texts]) for group, texts in rows.items() if texts]
+        more = f"skd --help-all lists {hidden} more commands. " if hidden else ""
+        return "\n".join([*lines, "", f"{more}skd COMMAND --help explains one, skd --version names the version.", ""])
 
 
 def make_parser(words: Sequence[str] = ()) -> Parser:
@@ -104,6 +110,7 @@ def make_parser(words: Sequence[str] = ()) -> Parser:
         description="Measure how far a pedestrian may deviate from a safe crossing before a self-driving car collides.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    parser.add_argument("--help-all", action="help")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
     names = [one.name for one in pkgutil.iter_modules(own.__path__)]
     for name in words[:1] if words and words[0] in names else names:
@@ -127,8 +134,7 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
         UsageError: a parameter is wrong.
     """
     if not words:
-        parser.print_help(sys.stderr)
-        parser.exit(EXIT_USAGE)
+        words = ["--help"]
     arguments, unknown = parser.parse_known_args(words)
     chosen = commands_of(parser)[arguments.command]
     if problem := getattr(arguments, "problem", ""):

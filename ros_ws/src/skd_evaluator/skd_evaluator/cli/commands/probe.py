@@ -42,7 +42,7 @@ def add(parser: Parser) -> None:
     Run varied crossings that show when and how a car brakes. They are kept for skd fit: as episodes.npz, with --graph
     as bags.
     """
-    parser.set_defaults(group="research")
+    parser.set_defaults(group="research", rare=True)
     add_car_arguments(parser, "probe")
     add_count(parser, "--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
     add_options(parser, "probe", "campaign")

@@ -46,7 +46,7 @@ def add(parser: Parser) -> None:
     Repeat the paper's experiment: margin, SKD and contact rate of the basic car with each multiplier C. The safe
     trajectories are synthetic ones, and those of --safe, if given.
     """
-    parser.set_defaults(group="research")
+    parser.set_defaults(group="research", rare=True)
     text = "walkers, or recorded ones: CITR's vci_lat_uni, a csv file with columns t, x, y, or a folder"
     add_value(parser, "--safe", text, metavar="SOURCE")
     text = "rate the basic car with these multipliers C instead of the paper's nine (0.5 to 1.15)"
