@@ -7,14 +7,13 @@ held-out ticks (calibrated: 5 % of the p-values below 0.05).
 With --skd instead: the Safe-Kamikaze Distance of kamikazes that plan with a fitted model, against those that know C,
 on the same safe trajectories and the same draws of the car.
 
-    python benchmarks/car_fit.py [--repetitions 100] [--episodes 1000] [--workers 2] [--multipliers C ...] [--json]
+    python benchmarks/car_fit.py [--repetitions 100] [--episodes 1000] [--workers 2] [--multipliers C ...]
     python benchmarks/car_fit.py --skd [--kamikaze-count 100] [--objective frechet] [...]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import time
 from dataclasses import replace
@@ -67,7 +66,7 @@ def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
     return found
 
 
-def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProcessRunner) -> dict[str, Any]:
+def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProcessRunner) -> str:
     """Compare the SKD of kamikazes that plan with a fitted model with that of those that know C."""
     scenario = load_scenario("crossing")
     logs = list(runner.run(probe_episodes(scenario, arguments.episodes, seed=1, multiplier=multiplier)))
@@ -75,48 +74,44 @@ def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProces
     plan = Plan(scenario, multiplier=multiplier, safe_count=5, kamikaze_count=arguments.kamikaze_count)
     plan = replace(plan, objective=Objective(arguments.objective))
     safe = safe_trajectories(plan, runner)
-    line: dict[str, Any] = {"multiplier": multiplier, "objective": arguments.objective, "family": fitted.chosen}
+    means = []
+    line = f"C = {multiplier:g}, {arguments.objective}, {fitted.chosen}:"
     for name, text in (("true", ""), ("fitted", car_model_text(fitted))):
         sets = kamikaze_sets(replace(plan, car_model=text), safe, runner)
         found = compute_skd([(one.safe_trajectory, [log.trajectory for log in one.logs]) for one in sets]).distances
-        line[name] = {"skd": found.mean, "skd_ci95_pairs": found.plain_interval, "pairs": found.values.size}
-    line["ratio"] = line["fitted"]["skd"] / line["true"]["skd"]
-    return line
+        means.append(found.mean)
+        line += f" SKD, {name} {found.mean:.3f} {found.plain_interval} m of {found.values.size} pairs;"
+    return f"{line} ratio {means[1] / means[0]:.3f}"
 
 
-def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures of one C."""
-    line: dict[str, Any] = {
-        "multiplier": results[0]["multiplier"],
-        "repetitions": len(results),
-        "right_family": float(np.mean([result["family"] == "distance" for result in results])),
-        "p_below_0.05": float(np.mean([result["p_value"] < 0.05 for result in results])),
-        "p_below_0.5": float(np.mean([result["p_value"] < 0.5 for result in results])),
-    }
+def summary(results: list[dict[str, Any]]) -> dict[str, tuple[int, int]]:
+    """Print the figures of one C, and return for each parameter how many intervals there are and how many hold."""
+    right, low, half = (
+        100.0 * float(np.mean(found))
+        for found in (
+            [result["family"] == "distance" for result in results],
+            [result["p_value"] < 0.05 for result in results],
+            [result["p_value"] < 0.5 for result in results],
+        )
+    )
+    print(
+        f"C = {results[0]['multiplier']:<6g} {len(results)} probes; right family {right:.0f} %; "
+        f"p < 0.05: {low:.0f} %, p < 0.5: {half:.0f} %"
+    )
+    held = {}
     for name in NAMES:
         known = [result[name] for result in results if result[name] is not None]
-        errors = np.abs([one["error"] for one in known])
-        line[name] = {
-            "not_identifiable": len(results) - len(known),
-            "median_error": float(np.median(errors)),
-            "largest_error": float(errors.max()),
-            "within": float(np.mean(errors <= WITHIN[name])),
-            "coverage": float(np.mean([not (one["below"] or one["above"]) for one in known])),
-            "truth_below_interval": int(sum(one["below"] for one in known)),
-            "truth_above_interval": int(sum(one["above"] for one in known)),
-        }
-    return line
-
-
-def pooled_coverage(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return, per parameter, how many intervals of all C hold the truth, and the central 95 % of that number."""
-    pooled = {}
-    for name in NAMES:
-        count = sum(line["repetitions"] - line[name]["not_identifiable"] for line in lines)
-        missed = sum(line[name]["truth_below_interval"] + line[name]["truth_above_interval"] for line in lines)
-        chance = [int(end) for end in stats.binom.interval(0.95, count, 0.95)]
-        pooled[name] = {"intervals": count, "covered": count - missed, "chance": chance}
-    return pooled
+        errors = 100.0 * np.abs([one["error"] for one in known])
+        below, above = (sum(one[side] for one in known) for side in ("below", "above"))
+        held[name] = len(known), len(known) - below - above
+        print(
+            f"  {name:<20} median |error| {np.median(errors):6.3f} %, largest {errors.max():6.3f} %, "
+            f"within {100 * WITHIN[name]:g} %: {100 * np.mean(errors <= 100 * WITHIN[name]):.0f} %, "
+            f"coverage {100 * held[name][1] / len(known):.0f} % (truth below {below}, above {above}), "
+            f"not identifiable {len(results) - len(known)}",
+            flush=True,
+        )
+    return held
 
 
 def main() -> None:
@@ -128,52 +123,28 @@ def main() -> None:
     parser.add_argument("--kamikaze-count", type=int, default=100, help="per safe trajectory, of five")
     parser.add_argument("--multipliers", type=float, nargs="+", default=list(PAPER_MULTIPLIERS))
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     begin = time.perf_counter()
-    lines: list[dict[str, Any]] = []
     if arguments.skd:
         with InProcessRunner(arguments.workers) as runner:
             for multiplier in arguments.multipliers:
-                lines.append(kamikazes(multiplier, arguments, runner))
-                print(json.dumps(lines[-1]), flush=True)
+                print(kamikazes(multiplier, arguments, runner), flush=True)
         return
+    lines = []
     with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
         for multiplier in arguments.multipliers:
             # Seeds of its own for each C: cars of the same seed draw the same noise, whatever their C.
             first = round(1000 * multiplier) * SEEDS_APART
             seeds = range(first, first + arguments.repetitions)
             lines.append(summary(pool.map(repetition, [(multiplier, seed, arguments.episodes) for seed in seeds], 2)))
-            if not arguments.json:
-                _print(lines[-1])
-    pooled = pooled_coverage(lines)
-    if arguments.json:
-        print(json.dumps({"lines": lines, "pooled": pooled, "seconds": time.perf_counter() - begin}, indent=2))
-    else:
-        for name, one in pooled.items():
-            low, high = one["chance"]
-            print(
-                f"all C: {name}: {one['covered']} of {one['intervals']} intervals hold the truth "
-                f"(of intervals that hold with 95 %, {low} to {high} do in 95 % of the cases)"
-            )
-        print(f"{time.perf_counter() - begin:.0f} s")
-
-
-def _print(line: dict[str, Any]) -> None:
-    print(
-        f"C = {line['multiplier']:<6g} {line['repetitions']} probes; right family {100 * line['right_family']:.0f} %; "
-        f"p < 0.05: {100 * line['p_below_0.05']:.0f} %, p < 0.5: {100 * line['p_below_0.5']:.0f} %"
-    )
     for name in NAMES:
-        one = line[name]
+        count, held = (sum(line[name][part] for line in lines) for part in (0, 1))
+        low, high = (int(end) for end in stats.binom.interval(0.95, count, 0.95))
         print(
-            f"  {name:<20} median |error| {100 * one['median_error']:6.3f} %, "
-            f"largest {100 * one['largest_error']:6.3f} %, "
-            f"within {100 * WITHIN[name]:g} %: {100 * one['within']:.0f} %, "
-            f"coverage {100 * one['coverage']:.0f} % (truth below {one['truth_below_interval']}, "
-            f"above {one['truth_above_interval']}), not identifiable {one['not_identifiable']}",
-            flush=True,
+            f"all C: {name}: {held} of {count} intervals hold the truth "
+            f"(of intervals that hold with 95 %, {low} to {high} do in 95 % of the cases)"
         )
+    print(f"{time.perf_counter() - begin:.0f} s")
 
 
 if __name__ == "__main__":

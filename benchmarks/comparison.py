@@ -20,12 +20,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from margin_variances import margins
@@ -47,6 +45,7 @@ from skd_sim.scenario.scenario import load_scenario
 FIRST_SEED = 1000
 CARS = ((1.0, 0), (1.0, 1), (1.05, 0))
 """C, and which of the repetition's two seeds."""
+ALL_PAIRS = "C = 1 with itself, all pairs of seeds"
 
 
 def campaign(multiplier: float, seed: int, asked: Plan, figure: str, runner: InProcessRunner) -> FloatArray:
@@ -86,43 +85,20 @@ def comparisons(first: FloatArray, other: FloatArray, better: FloatArray | None)
     return {name: one for name, one in found.items() if one is not None}
 
 
-def summary(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, dict[str, Any]]:
-    """Return how often each comparison found a difference."""
+def summary(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, list[Difference]]:
+    """Return the comparisons of all repetitions, and of any two campaigns of C = 1: these pairs share campaigns."""
     rows: dict[str, list[Difference]] = {}
     for number in range(repetitions):
         first, other = (runs[key(car, number)] for car in CARS[:2])
         for name, one in comparisons(first, other, runs.get(key(CARS[2], number))).items():
             rows.setdefault(name, []).append(one)
-    found = {
-        name: {
-            "repetitions": len(found),
-            "found": sum(one.direction != 0 for one in found) / len(found),
-            "found_ci95": wilson_interval(sum(one.direction != 0 for one in found), len(found)),
-            "second_safer": sum(one.direction > 0 for one in found) / len(found),
-            "difference": float(np.mean([one.value for one in found])),
-            "width": float(np.mean([one.interval[1] - one.interval[0] for one in found if one.interval])),
-        }
-        for name, found in rows.items()
-    }
-    return {**found, "C = 1 with itself, all pairs of seeds": every_pair(runs, repetitions)}
-
-
-def every_pair(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, Any]:
-    """Return how often any two campaigns of C = 1 are told apart: the same rate, of pairs that share campaigns."""
     # With as many trials on each φ their means say all.
     means = [
         list(runs[key(car, number)].mean(axis=1, keepdims=True)) for number in range(repetitions) for car in CARS[:2]
     ]
-    found = [difference(*pair, paired=False) for pair in itertools.combinations(means, 2)]
-    told = [one for one in found if one is not None and one.interval is not None]
-    return {
-        "repetitions": len(told),
-        "found": sum(one.direction != 0 for one in told) / len(told),
-        "found_ci95": None,
-        "second_safer": sum(one.direction > 0 for one in told) / len(told),
-        "difference": float(np.mean([one.value for one in told])),
-        "width": float(np.mean([one.interval[1] - one.interval[0] for one in told if one.interval])),
-    }
+    pairs = [difference(*pair, paired=False) for pair in itertools.combinations(means, 2)]
+    rows[ALL_PAIRS] = [one for one in pairs if one is not None and one.interval is not None]
+    return rows
 
 
 def held(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, tuple[int, int]]:
@@ -178,22 +154,23 @@ def main() -> None:
                 np.savez_compressed(partial, **runs)  # type: ignore[arg-type]
                 partial.replace(arguments.out)
                 print(f"{done} of {len(missing)} campaigns, {time.perf_counter() - begin:.0f} s", flush=True)
-    found = summary(runs, arguments.repetitions)
     print("| compared | pairs | difference (m) | width of the interval (m) | found | 95 % | second car called safer |")
     print("|---|---|---|---|---|---|---|")
-    for name, row in found.items():
-        interval = row["found_ci95"]
+    for name, row in summary(runs, arguments.repetitions).items():
+        count, different = len(row), sum(one.direction != 0 for one in row)
+        safer = sum(one.direction > 0 for one in row)
+        interval = None if name == ALL_PAIRS else wilson_interval(different, count)
         ends = "–" if interval is None else f"[{100 * interval[0]:.1f}, {100 * interval[1]:.1f}]"
+        width = np.mean([one.interval[1] - one.interval[0] for one in row if one.interval])
         print(
-            f"| {name} | {row['repetitions']} | {row['difference']:+.3f} | {row['width']:.3f} "
-            f"| {100 * row['found']:.1f} % | {ends} | {100 * row['second_safer']:.1f} % |"
+            f"| {name} | {count} | {np.mean([one.value for one in row]):+.3f} | {width:.3f} "
+            f"| {100 * different / count:.1f} % | {ends} | {100 * safer / count:.1f} % |"
         )
     for name, (count, campaigns) in held(runs, arguments.repetitions).items():
         low, high = wilson_interval(count, campaigns) or (0.0, 1.0)
         share = f"{100 * count / campaigns:.1f} %, 95 % [{100 * low:.1f}, {100 * high:.1f}]"
         of = f"{campaigns} campaigns of C = 1 hold the mean of all"
         print(f"intervals of the {arguments.figure}, {name}: {share} of {of}")
-    print(json.dumps(found, ensure_ascii=False))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ ordinary 95 % intervals.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,11 +28,7 @@ from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, clustered_mean,
 from skd_evaluator.metrics.frechet import warped_distance
 from skd_evaluator.metrics.sample_size import expected_width, narrow_enough, nominal_confidence
 from skd_evaluator.metrics.skd import bound_interval
-from skd_evaluator.metrics.statistics import (
-    frechet_probability_bound,
-    normal_interval,
-    wilson_interval,
-)
+from skd_evaluator.metrics.statistics import frechet_probability_bound, normal_interval, wilson_interval
 from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from tally import Tally
@@ -76,8 +71,8 @@ def population_bound(groups: Sequence[FloatArray]) -> float:
     return frechet_probability_bound(BOUND_ETA, centre, square - centre**2)
 
 
-def coverage(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Yield, by size of the campaign and figure, how often its intervals hold."""
+def coverage(result: StoredResult, campaigns: int, seed: int) -> Iterator[tuple[Any, Any, Tally]]:
+    """Yield, by population and figure, and by size of the campaign and kind of interval, how often it holds."""
     groups: dict[str, Sequence[FloatArray]] = {**result.groups, "warped": warped_distances(result)}
     truths = {name: population_mean(groups[name]) for name in (*PRIORS, *RATES)}
     bound = population_bound(groups["skd"]) if truths["skd"] > BOUND_ETA else None
@@ -102,21 +97,13 @@ def coverage(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[s
                 hits = sum(hit for hit, _ in counts)
                 tallies[name, "as independent"].add(truths[name], wilson_interval(hits, safe * trials))
         for (name, kind), tally in tallies.items():
-            if tally.held + tally.above + tally.below:
+            if tally.count:
                 truth = bound if name == "bound" else truths[name]
-                yield {
-                    "population": str(result.folder),
-                    "safe": safe,
-                    "trials": trials,
-                    "figure": name,
-                    "interval": kind,
-                    "truth": truth,
-                    **tally.figures(),
-                }
+                yield (result.folder.name, name, truth), ((safe, trials), kind), tally
 
 
-def stopping(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Yield, by the width wanted, how often the interval at which the rule stopped holds."""
+def stopping(result: StoredResult, campaigns: int, seed: int) -> None:
+    """Print, for each width to stop at and each rule, how often the interval at which it stopped holds."""
     groups = result.groups["deviation"]
     truth, parts = population_mean(groups), variance_components(groups)
     single = expected_width(parts.between or 0.0, parts.within or 0.0, BATCH, TRIALS, prior=DISTANCES)
@@ -136,14 +123,10 @@ def stopping(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[s
                         break
                 tally.add(truth, found.interval if found else None)
                 used += len(sample)
-            yield {
-                "population": str(result.folder),
-                "rule": rule,
-                "wanted": wanted,
-                "mean_safe": used / campaigns,
-                "reached": reached / campaigns,
-                **tally.figures(),
-            }
+            print(
+                f"| {result.folder.name} | {wanted:.3f} | {rule} | {tally} | {used / campaigns:.1f} "
+                f"| {100 * reached / campaigns:.0f} % |"
+            )
 
 
 def main() -> None:
@@ -152,43 +135,22 @@ def main() -> None:
     parser.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="assessment of many φ")
     parser.add_argument("--campaigns", type=int, default=1000, metavar="N", help="simulated, of each size")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all figures")
     arguments = parser.parse_args()
     results = [read_result(path) for path in arguments.paths]
-    rows = [row for result in results for row in coverage(result, arguments.campaigns, arguments.seed)]
-    stops = [row for result in results for row in stopping(result, arguments.campaigns, arguments.seed)]
-    print_coverage(rows)
-    print_stopping(stops)
-    if arguments.out:
-        arguments.out.write_text(json.dumps({"coverage": rows, "stopping": stops}, indent=1, ensure_ascii=False))
-
-
-def print_coverage(rows: Sequence[dict[str, Any]]) -> None:
-    """Print, a line for each population and figure, what each size of campaign gives."""
-    table: dict[tuple[str, str, float], dict[tuple[int, int, str], dict[str, Any]]] = {}
-    for row in rows:
-        line = table.setdefault((Path(row["population"]).name, row["figure"], row["truth"]), {})
-        line[row["safe"], row["trials"], row["interval"]] = row
+    table: dict[Any, dict[Any, Tally]] = {}
+    for result in results:
+        for population, kind, tally in coverage(result, arguments.campaigns, arguments.seed):
+            table.setdefault(population, {})[kind] = tally
     heads = " | ".join(f"{safe} × {trials}" for safe, trials in SIZES)
-    size = f"{SIZES[0][0]} × {SIZES[0][1]}"
-    print(f"| population | figure | truth | {heads} | Student's, {size} | as independent, {size} |")
-    print("|---" * (5 + len(SIZES)) + "|")
-    for (population, figure, truth), line in table.items():
-        cells = [line[safe, trials, "by φ"] for safe, trials in SIZES]
-        shown = " | ".join(f"{100 * one['held']:.1f} ({one['width']:.3f})" for one in cells)
-        others = [line.get((*SIZES[0], kind)) for kind in ("Student's", "as independent")]
-        last = " | ".join("–" if one is None else f"{100 * one['held']:.1f} ({one['width']:.3f})" for one in others)
-        print(f"| {population} | {figure} | {truth:.4f} | {shown} | {last} |")
-
-
-def print_stopping(rows: Sequence[dict[str, Any]]) -> None:
-    """Print a line for each population, width and rule."""
-    print("\n| population | requested width (m) | rule | held | φ, mean | reached |\n|---|---|---|---|---|---|")
-    for row in rows:
-        print(
-            f"| {Path(row['population']).name} | {row['wanted']:.3f} | {row['rule']} | {100 * row['held']:.1f} | "
-            f"{row['mean_safe']:.1f} | {100 * row['reached']:.0f} % |"
-        )
+    others = [(SIZES[0], kind) for kind in ("Student's", "as independent")]
+    last = " | ".join(f"{kind}, {size[0]} × {size[1]}" for size, kind in others)
+    print(f"| population | figure | truth | {heads} | {last} |\n" + "|---" * (5 + len(SIZES)) + "|")
+    for (name, figure, truth), line in table.items():
+        cells = [str(line.get(kind, "–")) for kind in (*((size, "by φ") for size in SIZES), *others)]
+        print(f"| {name} | {figure} | {truth:.4f} | {' | '.join(cells)} |")
+    print("\n| population | requested width (m) | rule | held (width) | φ, mean | reached |\n" + "|---" * 6 + "|")
+    for result in results:
+        stopping(result, arguments.campaigns, arguments.seed)
 
 
 if __name__ == "__main__":

@@ -5,20 +5,19 @@ depends on the curves, so there are several kinds, from those that it is fastest
 many curves of one length against one reference; slow libraries get the first pairs of it. Every value must agree to
 1e-12 with ours, or there is no result. A library that is not installed is reported as such.
 
-
-    python benchmarks/frechet.py [--json]
+    python benchmarks/frechet.py
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import math
 import os
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,11 @@ _SIZES = (40, 1000)
 _BATCH = {40: 192, 1000: 16}  # pairs that share one reference
 _ROUNDS = 5
 _SECONDS_A_TURN = 0.1  # per library, kind and size; a slow call is made once a turn
-_BATCHED, _ONE, _SHAPELY = "skd, batch", "skd, one pair", "shapely, vectorised"
+_BATCHED, _ONE = "skd, batch", "skd, one pair"
+_LIBRARIES = {
+    "shapely": "frechet_distance", "similaritymeasures": "frechet_dist", "curvesimilarities": "dfd",
+    "traj_dist.distance": "discret_frechet",
+}  # fmt: skip
 _TOLERANCE = 1e-12
 
 Timed = tuple[Callable[[], Any], int]  # a call, and how many pairs it measures
@@ -68,40 +71,32 @@ def _curves(kind: str, size: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     return curves[0].copy(), curves[1:].copy()
 
 
-def _single(call: Callable[[np.ndarray, np.ndarray], Any], p: np.ndarray, others: np.ndarray) -> Timed:
-    """Return how to time a library that takes one pair at a time: its time does not depend on the curves."""
-    pairs = [(p, q) for q in others[: 8 if len(p) < 100 else 1]]
-    return (lambda: [call(a, b) for a, b in pairs]), len(pairs)
-
-
 def _candidates(kind: str, p: np.ndarray, others: np.ndarray) -> dict[str, Timed | None]:
     """Return what to time; None where the library is missing."""
     candidates: dict[str, Timed | None] = {
         _BATCHED: (lambda: discrete_frechet_pairs(p, others), len(others)),
         _ONE: (lambda: [discrete_frechet(p, q) for q in others], len(others)),
-        _SHAPELY: None,
     }
-    try:
-        import shapely
-
-        # All geometry is made beforehand, and one call measures all pairs: its fastest use. Long random walks take it
-        # a second each, so that two of them must do.
-        some = others[:2] if kind == "random walks" and len(p) > 100 else others
-        a = np.array([shapely.LineString(p)] * len(some))
-        b = np.array([shapely.LineString(q) for q in some])
-        candidates[_SHAPELY] = (lambda: shapely.frechet_distance(a, b), len(some))
-    except ImportError:
-        pass
-    for module, name in (
-        ("similaritymeasures", "frechet_dist"),
-        ("curvesimilarities", "dfd"),
-        ("traj_dist.distance", "discret_frechet"),
-    ):
+    # All geometry of shapely is made beforehand, and one call measures all pairs: its fastest use. Long random walks
+    # take it a second each, so that two of them must do. The time of the others does not depend on the curves.
+    some = others[:2] if kind == "random walks" and len(p) > 100 else others
+    few = others[: 8 if len(p) < 100 else 1]
+    for module, name in _LIBRARIES.items():
         try:
-            candidates[module] = _single(getattr(importlib.import_module(module), name), p, others)
+            call = getattr(importlib.import_module(module), name)
         except ImportError:
             candidates[module] = None
+            continue
+        if module == "shapely":
+            lines = [np.array([_line(curve) for curve in curves]) for curves in ([p] * len(some), some)]
+            candidates[module] = (partial(call, *lines), len(some))
+        else:
+            candidates[module] = (lambda call=call: [call(p, q) for q in few], len(few))
     return candidates
+
+
+def _line(curve: np.ndarray) -> Any:
+    return importlib.import_module("shapely").LineString(curve)
 
 
 def _medians(timed: dict[str, Timed]) -> dict[str, float]:
@@ -160,17 +155,12 @@ def _print_comparison(size: int, rows: dict[str, dict[str, float | None]]) -> No
 
 
 def main() -> None:
-    """Measure, and print tables or JSON."""
+    """Measure, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print JSON: all figures, µs a pair")
-    arguments = parser.parse_args()
+    parser.parse_args()
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    comparison = {size: {kind: _compare(kind, size) for kind in _KINDS} for size in _SIZES}
-    if arguments.json:
-        print(json.dumps({"one core": comparison}, indent=2))
-        return
-    for size, rows in comparison.items():
-        _print_comparison(size, rows)
+    for size in _SIZES:
+        _print_comparison(size, {kind: _compare(kind, size) for kind in _KINDS})
 
 
 if __name__ == "__main__":

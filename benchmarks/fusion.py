@@ -15,7 +15,6 @@ is as narrow as it is on average at the third, or at the last.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -131,8 +130,8 @@ def share(truth: float, found: list[FusedFigure], interval: Callable[[FusedFigur
     return float(np.mean([low <= truth <= high for low, high in map(interval, found)]))
 
 
-def stopping(rho: float, repetitions: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Yield how often the interval holds at which one stopped, by both ways to look."""
+def stopping(rho: float, repetitions: int, seed: int) -> Iterator[tuple[str, float, float]]:
+    """Yield, by both ways to look, how often the interval holds at which one stopped, and after how many trials."""
     draw, truth = shaped("normal", rho)
     rng = np.random.default_rng((seed, 1))
     tried = [asked(*draw(rng, SIMULATED, 24), _PLAIN) for _ in range(200)]
@@ -149,7 +148,7 @@ def stopping(rho: float, repetitions: int, seed: int) -> Iterator[dict[str, Any]
                     held += one.stands.interval[0] <= truth <= one.stands.interval[1]
                     used += 8 * look
                     break
-        yield {"rule": rule, "correlation": rho, "held": held / repetitions, "trials": used / repetitions}
+        yield rule, held / repetitions, used / repetitions
 
 
 def main() -> None:
@@ -159,16 +158,13 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="*", default=KINDS, choices=KINDS, metavar="KIND", help="of drawn pairs")
     parser.add_argument("--repetitions", type=int, default=1000, metavar="N")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all figures")
     arguments = parser.parse_args()
-    rows: list[dict[str, Any]] = []
     print("| pairs | ρ | n | held % (alone) | narrower | always | predicts % | saved | said % |\n" + "|---" * 9 + "|")
     for kind in arguments.kinds:
         for rho in CORRELATIONS:
             draw, truth = shaped(kind, rho)
             for row in coverage(draw, truth, _PLAIN, arguments.repetitions, arguments.seed):
-                rows.append({"pairs": kind, "rho": rho, **row})
-                show(rows[-1])
+                show({"pairs": kind, "rho": rho, **row})
     if arguments.trials:
         with np.load(arguments.trials) as populations:
             for name in populations.files:
@@ -176,14 +172,11 @@ def main() -> None:
                     draw, truth = played(populations[name][..., place])
                     figure = FIGURES[key] if FIGURES[key].is_rate else replace(_PLAIN, wrong=FIGURES[key].wrong)
                     for row in coverage(draw, truth, figure, arguments.repetitions, arguments.seed):
-                        rows.append({"pairs": f"{name}: {key}", "truth": truth, **row})
-                        show(rows[-1])
-    stops = [row for rho in (0.0, 0.8) for row in stopping(rho, arguments.repetitions, arguments.seed)]
+                        show({"pairs": f"{name}: {key}", **row})
     print("\n| rule | ρ | held % | trials, mean |\n|---|---|---|---|")
-    for row in stops:
-        print(f"| {row['rule']} | {row['correlation']} | {100 * row['held']:.1f} | {row['trials']:.1f} |")
-    if arguments.out:
-        arguments.out.write_text(json.dumps({"coverage": rows, "stopping": stops}, indent=1, ensure_ascii=False))
+    for rho in (0.0, 0.8):
+        for rule, held, trials in stopping(rho, arguments.repetitions, arguments.seed):
+            print(f"| {rule} | {rho} | {100 * held:.1f} | {trials:.1f} |")
 
 
 def show(row: dict[str, Any]) -> None:

@@ -3,13 +3,12 @@
 Everything is compiled before the clock starts. `planning` is the tree search; the rest is belief, world and car. Time
 of a pair is processor time; that of a campaign is the wall clock's, one worker and two in turns, without their start.
 
-    python benchmarks/kamikaze.py [--episodes N] [--pairs N] [--json]
+    python benchmarks/kamikaze.py [--episodes N] [--pairs N]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Iterator
@@ -101,11 +100,10 @@ def _campaign(plan: Plan, safe: list[Trajectory], workers: int) -> float:
 
 
 def main() -> None:
-    """Measure, and print a table or JSON."""
+    """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=200, metavar="N", help="per car and objective (default 200)")
     parser.add_argument("--pairs", type=int, default=500, metavar="N", help="of the campaign (default 500)")
-    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     if arguments.episodes < 1 or arguments.pairs < _SAFE_COUNT:
         parser.error(f"--episodes must be at least 1 and --pairs at least {_SAFE_COUNT}")
@@ -126,9 +124,6 @@ def main() -> None:
         one, two = (statistics.median(times) for times in zip(*turns, strict=True))
         ratio = statistics.median(first / second for first, second in turns)
         campaigns.append({"objective": str(objective), "one_worker": one, "two_workers": two, "ratio": ratio})
-    if arguments.json:
-        print(json.dumps({"simulations": plan.simulations, "pairs": rows, "campaigns": campaigns}, indent=2))
-        return
     print(f"Kamikaze pairs of the basic car on one core, {plan.simulations} simulations per decision")
     print(f"{'objective':>10}{'C':>7}{'ms/pair':>9}{'decisions':>11}{'planning':>10}{'success':>9}{'distance (m)':>14}")
     for row in rows:

@@ -15,7 +15,6 @@ In the populations named *hard* 15 % of the φ are four times as hard, for every
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import zlib
 from collections.abc import Iterator
@@ -46,6 +45,8 @@ OTHERS: dict[str, tuple[float, dict[str, Any]]] = {
 }
 """C and what is changed of the car."""
 HARD_SHARE, HARDER = 0.15, 4.0
+Row = tuple[float, list[Tally]]
+"""The truth of a population, and how often its intervals hold, by size of the campaign and kind."""
 NEAR, STEP = 12, 2
 """Hundredths: how far from the truth basic cars are compared, and how far apart they are."""
 
@@ -101,62 +102,49 @@ class Populations:
         return np.array(list(self.runner.map(margin_of, episodes))).reshape(len(self.safe), self.trials)
 
 
-def draws(
-    phis: int, trials: int, campaigns: int, seed: int
-) -> Iterator[tuple[int, int, Iterator[tuple[IntArray, IntArray]]]]:
-    """Yield the sizes of campaigns, and for each the φ and trials that its campaigns draw."""
+def draws(phis: int, trials: int, campaigns: int, seed: int) -> Iterator[Iterator[tuple[IntArray, IntArray]]]:
+    """Yield, for each size of campaigns, the φ and trials that its campaigns draw."""
     for safe, each in SIZES:
         rng = np.random.default_rng(np.random.SeedSequence((seed, safe, each)))
-        drawn = ((rng.integers(phis, size=safe), rng.integers(trials, size=(safe, each))) for _ in range(campaigns))
-        yield safe, each, drawn
+        yield ((rng.integers(phis, size=safe), rng.integers(trials, size=(safe, each))) for _ in range(campaigns))
 
 
-def margins(
-    name: str, population: FloatArray, equal: IntArray, eta_max: float, campaigns: int, seed: int
-) -> Iterator[dict[str, Any]]:
-    """Yield how often the intervals of the margin hold, by size of the campaign; equal φ have one number in `equal`."""
-    truth = float(population.mean())
-    for safe, each, drawn in draws(len(population), population.shape[1], campaigns, seed):
+def margins(population: FloatArray, equal: IntArray, eta_max: float, campaigns: int, seed: int) -> Row:
+    """Return how often the intervals of the margin hold, by size of the campaign; `equal` numbers distinct φ."""
+    truth, cells = float(population.mean()), []
+    for drawn in draws(len(population), population.shape[1], campaigns, seed):
         by_phi, by_distinct, independent = Tally(), Tally(), Tally()
         for chosen, numbers in drawn:
             drawn_margins = population[chosen[:, None], numbers]
-            found = clustered_mean(list(drawn_margins), prior=MARGINS, limits=(0.0, eta_max))
             merged = [drawn_margins[equal[chosen] == one].ravel() for one in np.unique(equal[chosen])]
-            distinct = clustered_mean(merged, prior=MARGINS, limits=(0.0, eta_max))
-            assert found is not None
-            assert distinct is not None
-            by_phi.add(truth, found.interval)
-            by_distinct.add(truth, distinct.interval)
+            for tally, groups in ((by_phi, list(drawn_margins)), (by_distinct, merged)):
+                found = clustered_mean(groups, prior=MARGINS, limits=(0.0, eta_max))
+                assert found is not None
+                tally.add(truth, found.interval)
             independent.add(truth, normal_interval(drawn_margins.ravel()))
-        tallies = {"by φ": by_phi, "by distinct φ": by_distinct, "as independent": independent}
-        for kind, tally in tallies.items():
-            row = {"figure": "margin", "population": name, "truth": truth, "safe": safe, "trials": each}
-            yield {**row, "interval": kind, **tally.figures()}
+        cells += [by_phi, by_distinct, independent]
+    return truth, cells
 
 
-def multipliers(
-    name: str, car: FloatArray, populations: Populations, factors: FloatArray, campaigns: int, seed: int
-) -> Iterator[dict[str, Any]]:
-    """Yield how often the intervals of the equivalent multiplier hold, by size of the campaign."""
+def multipliers(car: FloatArray, populations: Populations, factors: FloatArray, campaigns: int, seed: int) -> Row:
+    """Return how often the intervals of the equivalent multiplier hold, by size of the campaign."""
     eta_max = populations.plan.scenario.eta_max
 
     def basic(hundredths: int) -> FloatArray:
         return np.minimum(factors[:, None] * populations.basic(hundredths), eta_max)
 
-    truth = _truth(car, basic)
+    truth, cells = _truth(car, basic), []
     near = round(100 * truth) | 1  # the same hundredths for populations that are nearly alike
     grid = range(near - NEAR, near + NEAR + 1, STEP)
-    for safe, each, drawn in draws(len(car), car.shape[1], campaigns, seed):
-        by_phi, of_these, missing = Tally(), Tally(), 0
+    for drawn in draws(len(car), car.shape[1], campaigns, seed):
+        by_phi, of_these = Tally(), Tally()
         for chosen, numbers in drawn:
             mine = list(car[chosen[:, None], numbers])
             found = equivalent_multiplier(mine, {one / 100: list(basic(one)[chosen[:, None], numbers]) for one in grid})
             by_phi.add(truth, found.interval)
             of_these.add(truth, found.ci95_trials)
-            missing += not np.isfinite(found.ci95 or 0.0).all()
-        for kind, tally in (("by φ", by_phi), ("these φ", of_these)):
-            row = {"figure": "multiplier", "population": name, "truth": truth, "safe": safe, "trials": each}
-            yield {**row, "interval": kind, **tally.figures(), "open": missing / campaigns}
+        cells += [by_phi, of_these]
+    return truth, cells
 
 
 def _truth(car: FloatArray, basic: Any) -> float:
@@ -186,13 +174,11 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=available_workers(), metavar="N")
     parser.add_argument("--only", choices=("margin", "multiplier"), help="one of the two tables")
     parser.add_argument("--kept", type=Path, metavar="DIR", help="where populations are kept")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all figures")
     arguments = parser.parse_args()
     if arguments.kept:
         arguments.kept.mkdir(parents=True, exist_ok=True)
-    scenario = load_scenario(arguments.scenario)
+    scenario, size = load_scenario(arguments.scenario), (arguments.campaigns, arguments.seed)
     plan = Plan(scenario, seed=arguments.seed, safe=arguments.safe, safe_count=arguments.phi)
-    rows: list[dict[str, Any]] = []
     with InProcessRunner(arguments.workers) as runner:
         runner.start()
         populations = Populations(plan, arguments.trials, runner, arguments.kept)
@@ -204,10 +190,9 @@ def main() -> None:
             print(f"{equal.max() + 1} of {arguments.phi} φ are distinct", file=sys.stderr)
             print(head("by φ", "by distinct φ", "trials as independent"))
             for name, found in cars.items():
-                rows += shown(margins(name, found, equal, eta_max, arguments.campaigns, arguments.seed))
+                show(name, margins(found, equal, eta_max, *size))
                 scaled, which = np.minimum(hard[:, None] * found, eta_max), 2 * equal + (hard > 1.0)
-                label = f"{name}, hard"
-                rows += shown(margins(label, scaled, which, eta_max, arguments.campaigns, arguments.seed))
+                show(f"{name}, hard", margins(scaled, which, eta_max, *size))
         if arguments.only != "margin":
             print(head("by φ", "φ given"))
             for name, (multiplier, changes) in OTHERS.items():
@@ -215,24 +200,18 @@ def main() -> None:
                 found = populations.of(changed, multiplier)
                 for label, factors in ((name, none), (f"{name}, hard", hard)):
                     scaled = np.minimum(factors[:, None] * found, eta_max)
-                    rows += shown(multipliers(label, scaled, populations, factors, arguments.campaigns, arguments.seed))
-    if arguments.out:
-        arguments.out.write_text(json.dumps(rows, indent=1, ensure_ascii=False))
+                    show(label, multipliers(scaled, populations, factors, *size))
 
 
 def head(*kinds: str) -> str:
     """Return the first lines of a table whose intervals are of these kinds."""
     heads = [f"{safe} × {trials}, {kind}" for safe, trials in SIZES for kind in kinds]
-    return f"| figure | population | truth | {' | '.join(heads)} |\n{'|---' * (3 + len(heads))}|"
+    return f"| population | truth | {' | '.join(heads)} |\n{'|---' * (2 + len(heads))}|"
 
 
-def shown(found: Iterator[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Print a line of the table, of one population, and return its entries."""
-    rows = list(found)
-    cells = [f"{100 * row['held']:.1f} ({row['width']:.3f})" for row in rows]
-    first = rows[0]
-    print(f"| {first['figure']} | {first['population']} | {first['truth']:.4f} | {' | '.join(cells)} |", flush=True)
-    return rows
+def show(name: str, row: Row) -> None:
+    """Print a line of the table, of one population."""
+    print(f"| {name} | {row[0]:.4f} | {' | '.join(map(str, row[1]))} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,10 +10,9 @@ what follows stand for the probabilities.
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,34 +22,17 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import bound, kernel, template, unbound
 
 _CHUNK = 4096  # states whose outcomes are drawn at a time
-_MOST = 10**8  # pairs of state and action: some gigabytes
-_OUTSIDE = -2  # an outcome that is none of the states
-
-
+_SAMPLES = 32  # of the step, for each state and action
+_TOLERANCE = 1e-3  # greatest change of a value, in units of reward, that ends the iteration
 _step = unbound
 
 
-@kernel(inline=True)
-def _any_action(_parameters: Any, _state: FloatArray, _action: int) -> bool:
-    return True
-
-
-_legal = _any_action
-
-
-class StateGrid(NamedTuple):
-    """A box of states of whole numbers, in row-major order: entry k runs from lowest[k], sizes[k] values."""
-
-    lowest: IntArray
-    sizes: IntArray
-
-
 class ObservedLeaves(NamedTuple):
-    """Values of all n states of a grid, as `observed_leaf_value` looks them up."""
+    """Values of a box of states of whole numbers, in row-major order: entry k runs from lowest[k], sizes[k] values."""
 
     lowest: IntArray
     sizes: IntArray
-    values: FloatArray  # n
+    values: FloatArray
 
 
 @kernel(inline=True)
@@ -60,7 +42,7 @@ def grid_index(lowest: IntArray, sizes: IntArray, state: FloatArray) -> int:
     for k in range(sizes.shape[0]):
         entry = int(state[k]) - lowest[k]
         if entry < 0 or entry >= sizes[k] or state[k] != int(state[k]):
-            return _OUTSIDE
+            return -1
         index = index * sizes[k] + entry
     return index
 
@@ -75,46 +57,38 @@ def observed_leaf_value(leaves: ObservedLeaves, state: FloatArray) -> float:
 @template(inline=False)
 def _outcomes_template(
     parameters: Any,
-    grid: StateGrid,
+    lowest: IntArray,
+    sizes: IntArray,
     begin: int,
-    end: int,
-    action_count: int,
-    samples: int,
     rewards: FloatArray,
     rows: IntArray,
     successors: npt.NDArray[np.int32],
     chances: npt.NDArray[np.float32],
     rng: np.random.Generator,
 ) -> int:
-    """Draw outcomes of all actions in the states from `begin` to `end`; return how many, or −1 − the state that fails.
+    """Draw outcomes of all actions in the states from `begin` on; return how many, or −1 where one leads elsewhere.
 
-    Rows are (state, action); of row r the successors are those from rows[r] to rows[r + 1]. An action that is not legal
-    has none, and earns −∞.
+    Rewards are states × actions, and rows number them; of row r the successors are those from rows[r] to rows[r + 1].
     """
-    state = np.empty(grid.sizes.shape[0])
-    after = np.empty(grid.sizes.shape[0])
+    state, after = np.empty(sizes.shape[0]), np.empty(sizes.shape[0])
     count = 0
-    for number in range(begin, end):
-        rest = number
-        for k in range(grid.sizes.shape[0] - 1, -1, -1):
-            state[k] = grid.lowest[k] + rest % grid.sizes[k]
-            rest //= grid.sizes[k]
-        for action in range(action_count):
-            row = (number - begin) * action_count + action
-            rows[row] = count
-            if not _legal(parameters, state, action):
-                rewards[row] = -np.inf
-                continue
-            total = 0.0
-            for _ in range(samples):
+    for number in range(rewards.shape[0]):
+        rest = begin + number
+        for k in range(sizes.shape[0] - 1, -1, -1):
+            state[k] = lowest[k] + rest % sizes[k]
+            rest //= sizes[k]
+        for action in range(rewards.shape[1]):
+            first, total = count, 0.0
+            rows[number * rewards.shape[1] + action] = first
+            for _ in range(_SAMPLES):
                 reward, terminal = _step(parameters, state, action, after, rng)
                 total += reward
                 if terminal:
                     continue
-                successor = grid_index(grid.lowest, grid.sizes, after)
+                successor = grid_index(lowest, sizes, after)
                 if successor < 0:
-                    return -1 - number
-                known = rows[row]
+                    return -1
+                known = first
                 while known < count and successors[known] != successor:
                     known += 1
                 if known == count:
@@ -122,9 +96,9 @@ def _outcomes_template(
                     chances[known] = 0.0
                     count += 1
                 chances[known] += 1.0
-            rewards[row] = total / samples
-            for known in range(rows[row], count):
-                chances[known] /= samples
+            rewards[number, action] = total / _SAMPLES
+            for known in range(first, count):
+                chances[known] /= _SAMPLES
     return count
 
 
@@ -136,156 +110,50 @@ def _sweep(
     chances: npt.NDArray[np.float32],
     discount: float,
     values: FloatArray,
-    action_values: FloatArray,
 ) -> float:
     """Improve the values in place (Gauss and Seidel); return the greatest change."""
     change = 0.0
-    for state in range(action_values.shape[0]):
+    for state in range(rewards.shape[0]):
         best = -np.inf
-        for action in range(action_values.shape[1]):
-            row = state * action_values.shape[1] + action
+        for action in range(rewards.shape[1]):
+            row = state * rewards.shape[1] + action
             ahead = 0.0
             for k in range(rows[row], rows[row + 1]):
                 ahead += chances[k] * values[successors[k]]
-            action_values[state, action] = rewards[row] + discount * ahead
-            best = max(best, action_values[state, action])
-        if best == -np.inf:  # nothing is legal: such a state is none that is ever reached
-            best = 0.0
+            best = max(best, rewards[state, action] + discount * ahead)
         change = max(change, abs(best - values[state]))
         values[state] = best
     return change
 
 
-@functools.cache
-def _outcomes_kernel(name: str, step: Callable[..., Any], legal: Callable[..., Any] | None) -> Callable[..., Any]:
-    parts = {"_step": step} if legal is None else {"_step": step, "_legal": legal}
-    found: Callable[..., Any] = bound(_outcomes_template, name, parts)
-    return found
-
-
-@dataclass(frozen=True)
-class ObservedSolution:
-    """Values of a fully observed model.
-
-    Attributes:
-        grid: the grid of states.
-        values: value of each state, in the grid's order.
-        action_values: states × actions; −∞ where one is not legal.
-    """
-
-    grid: StateGrid
-    values: FloatArray
-    action_values: FloatArray
-
-    def index(self, states: FloatArray) -> IntArray:
-        """Return the row of each of n × d states."""
-        entries = states.astype(np.int64) - self.grid.lowest
-        if (entries < 0).any() or (entries >= self.grid.sizes).any():
-            raise ValueError("a state lies outside the grid that was solved")
-        rows: IntArray = np.ravel_multi_index(tuple(entries.T), tuple(self.grid.sizes.tolist()))
-        return rows
-
-
-def solve_observed(
-    model: Pomdp,
-    ranges: Sequence[tuple[int, int]],
-    *,
-    samples: int = 32,
-    tolerance: float = 1e-3,
-    sweeps: int = 10_000,
-    seed: int = 0,
-) -> ObservedSolution:
-    """Solve the model as if its state were observed.
+def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]]) -> Pomdp:
+    """Return the model with the value of a leaf as if its state could be seen.
 
     Args:
-        model: model whose states are vectors of whole numbers; its `step` must take any state that the ranges allow.
+        model: its states are vectors of whole numbers; its `step` must take any state that the ranges allow.
         ranges: lowest and highest value of each entry of a state.
-        samples: draws of the step for each state and action: 1 where nothing is random. Fewer make the values too high.
-        tolerance: greatest change of a value, in units of reward, that ends the iteration.
-        sweeps: greatest number of sweeps; if the values have not settled by then, there is no solution.
-        seed: seed of the random draws.
 
     Raises:
-        ValueError: the ranges do not fit the model, a step leads out of them, there are too many states, or the values
-            grow without end.
+        ValueError: a step leads out of the ranges.
     """
-    if len(ranges) != model.state_dim or any(low > high for low, high in ranges):
-        raise ValueError(
-            f"{model.name} has states of {model.state_dim} numbers, each needs a range (lowest, highest), got {ranges}"
-        )
-    if samples < 1:
-        raise ValueError(f"each state needs at least one sample, got {samples}")
-    grid = StateGrid(np.array([low for low, _ in ranges]), np.array([high - low + 1 for low, high in ranges]))
-    total, actions = math.prod(grid.sizes.tolist()), model.action_count
-    if total * actions > _MOST:
-        raise ValueError(
-            f"{model.name} has {total:.3g} states in these ranges, times {actions} actions: no more than "
-            f"{_MOST:.0e} pairs of both can be solved"
-        )
-    draw = _outcomes_kernel(model.name, model.step, model.legal)
-    rng = np.random.default_rng(seed)
-    rewards, rows = np.empty(total * actions), np.empty(total * actions + 1, np.int64)
-    successors = np.empty(_CHUNK * actions * samples, np.int32)
-    chances = np.empty(_CHUNK * actions * samples, np.float32)
-    parts: list[tuple[Any, Any]] = []
-    found = 0
+    lowest, sizes = np.array([low for low, _ in ranges]), np.array([high - low + 1 for low, high in ranges])
+    total, actions = math.prod(sizes.tolist()), model.action_count
+    draw, rng = bound(_outcomes_template, model.name, {"_step": model.step}), np.random.default_rng(0)
+    rewards, rows = np.empty((total, actions)), np.empty(total * actions + 1, np.int64)
+    successors, chances = (np.empty(_CHUNK * actions * _SAMPLES, kind) for kind in (np.int32, np.float32))
+    parts, found = [], 0
     for begin in range(0, total, _CHUNK):
-        end = min(begin + _CHUNK, total)
-        own = slice(begin * actions, end * actions)
-        count = draw(
-            model.parameters,
-            grid,
-            begin,
-            end,
-            actions,
-            samples,
-            rewards[own],
-            rows[own],
-            successors,
-            chances,
-            rng,
-        )
+        here = rewards[begin : begin + _CHUNK]
+        numbers = rows[begin * actions :][: here.size]
+        count = draw(model.parameters, lowest, sizes, begin, here, numbers, successors, chances, rng)
         if count < 0:
-            state = np.array(np.unravel_index(-1 - count, tuple(grid.sizes.tolist()))) + grid.lowest
-            raise ValueError(
-                f"a step of {model.name} from state {state.tolist()} leads to none of the states of {ranges}"
-                + _way_out(model, grid, state.astype(float), samples, rng)
-            )
-        rows[own] += found
+            raise ValueError(f"a step of {model.name} leads to none of the states of {ranges}")
+        numbers += found
         found += count
         parts.append((successors[:count].copy(), chances[:count].copy()))
     rows[-1] = found
-    followers, shares = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-    values, action_values = np.zeros(total), np.empty((total, actions))
-    for _ in range(sweeps):
-        if _sweep(rewards, rows, followers, shares, model.discount, values, action_values) <= tolerance:
-            break
-    else:
-        raise ValueError(
-            f"the values of {model.name} still change by more than {tolerance:g} after {sweeps:,} sweeps"
-            + (": with a discount of 1 every episode has to end, whatever is done" if model.discount == 1.0 else "")
-        )
-    return ObservedSolution(grid, values, action_values)
-
-
-def _way_out(model: Pomdp, grid: StateGrid, state: FloatArray, samples: int, rng: np.random.Generator) -> str:
-    """Say which action leads from a state out of the grid, and where to; nothing if luck does not find it again."""
-    after = np.empty(model.state_dim)
-    for action in range(model.action_count):
-        if model.legal is not None and not model.legal(model.parameters, state, action):
-            continue
-        for _ in range(samples):
-            _, terminal = model.step(model.parameters, state, action, after, rng)
-            if not terminal and grid_index(grid.lowest, grid.sizes, after) < 0:
-                return f": action {action} to {after.tolist()}"
-    return ""
-
-
-def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]], **options: Any) -> Pomdp:
-    """Return the model with the value of a leaf as if its state could be seen; see `solve_observed`."""
-    solution = solve_observed(model, ranges, **options)
-    return replace(
-        model,
-        leaf_value=observed_leaf_value,
-        leaf_parameters=ObservedLeaves(*solution.grid, solution.values),
-    )
+    followers, shares = (np.concatenate(each) for each in zip(*parts, strict=True))
+    values = np.zeros(total)
+    while _sweep(rewards, rows, followers, shares, model.discount, values) > _TOLERANCE:
+        pass
+    return replace(model, leaf_value=observed_leaf_value, leaf_parameters=ObservedLeaves(lowest, sizes, values))

@@ -49,65 +49,37 @@ class Problem:
 
 # Observations that repeat exactly: each has a child of its own.
 _DISCRETE: Final[dict[str, Any]] = {"cells": Cells.NEAREST, "observation_factor": math.inf}
-_TIGER: Final = PlannerOptions(
-    simulations=5_000,
-    depth=25,
-    exploration=110.0,
-    particles=1_000,
-    **_DISCRETE,
-)
+_TIGER: Final = PlannerOptions(simulations=5_000, depth=25, exploration=110.0, particles=1_000, **_DISCRETE)
+# Leaves have the exact value of a good policy: the mean of the action tried most is not spoilt by the others.
 _ROCK_SAMPLE: Final = PlannerOptions(
-    # Leaves have the exact value of a good policy: the mean of the action tried most is not spoilt by the others.
-    simulations=5_000,
-    depth=60,
-    exploration=1.0,
-    particles=3_000,
-    backup=Backup.MOST_VISITED,
-    **_DISCRETE,
+    simulations=5_000, depth=60, exploration=1.0, particles=3_000, backup=Backup.MOST_VISITED, **_DISCRETE
 )
 _SUB_HUNT: Final = PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000)
+
+
+def _rocks(size: int, count: int, published: dict[str, tuple[float, float | None]]) -> Problem:
+    make = functools.partial(rock_sample, size, count)
+    return Problem(make, _ROCK_SAMPLE, 100, functools.partial(make, advantages=True), published)
+
+
 PROBLEMS: Final[dict[str, Problem]] = {
-    "tiger": Problem(tiger, _TIGER, moves=150, published={"optimum": (19.37, None)}),
-    "rock_sample_7_8": Problem(
-        functools.partial(rock_sample, 7, 8),
-        _ROCK_SAMPLE,
-        moves=100,
-        planning_model=functools.partial(rock_sample, 7, 8, advantages=True),
-        published={
-            "SARSOP": (21.47, 0.04),
-            "DESPOT C++, 1 s a move": (21.68, 1.19),
-            "DESPOT, published": (20.9, None),
-            "ABT (TAPIR), 0.1 s": (19.40, 1.23),
-        },
-    ),
-    "rock_sample_11_11": Problem(
-        functools.partial(rock_sample, 11, 11),
-        _ROCK_SAMPLE,
-        moves=100,
-        planning_model=functools.partial(rock_sample, 11, 11, advantages=True),
-        published={
-            "SARSOP": (21.56, 0.11),
-            "DESPOT C++, 0.1 s": (20.59, 1.21),
-            "DESPOT, published": (21.8, None),
-            "ABT (TAPIR), 0.1 s": (17.46, 1.34),
-        },
-    ),
-    "sub_hunt": Problem(
-        sub_hunt,
-        _SUB_HUNT,
-        moves=100,
-        planning_model=sub_hunt_with_leaves,
-        published={
-            "PFT-DPW, published": (77.4, 1.1),
-            "POMCPOW, published": (69.2, 1.3),
-            "QMDP, published": (28.0, 1.3),
-            "ping first, then QMDP, published": (79.0, 1.1),
-        },
-    ),
-}
+    "tiger": Problem(tiger, _TIGER, 150, published={"optimum": (19.37, None)}),
+    "rock_sample_7_8": _rocks(7, 8, {
+        "SARSOP": (21.47, 0.04), "DESPOT C++, 1 s a move": (21.68, 1.19), "DESPOT, published": (20.9, None),
+        "ABT (TAPIR), 0.1 s": (19.40, 1.23),
+    }),
+    "rock_sample_11_11": _rocks(11, 11, {
+        "SARSOP": (21.56, 0.11), "DESPOT C++, 0.1 s": (20.59, 1.21), "DESPOT, published": (21.8, None),
+        "ABT (TAPIR), 0.1 s": (17.46, 1.34),
+    }),
+    "sub_hunt": Problem(sub_hunt, _SUB_HUNT, 100, sub_hunt_with_leaves, {
+        "PFT-DPW, published": (77.4, 1.1), "POMCPOW, published": (69.2, 1.3), "QMDP, published": (28.0, 1.3),
+        "ping first, then QMDP, published": (79.0, 1.1),
+    }),
+}  # fmt: skip
 
 
-class EpisodeSpec(NamedTuple):
+class Played(NamedTuple):
     """What one episode gave: discounted return, moves, and seconds of processor time that planning took."""
 
     value: float
@@ -134,7 +106,7 @@ class _Timed:
         self.seconds += time.process_time() - begin
 
 
-def run_episode(name: str, simulations: int, seed: int, moves: int | None = None) -> EpisodeSpec:
+def run_episode(name: str, simulations: int, seed: int, moves: int | None = None) -> Played:
     """Run one episode.
 
     Args:
@@ -150,7 +122,7 @@ def run_episode(name: str, simulations: int, seed: int, moves: int | None = None
     planner = _Timed(Planner((problem.planning_model or problem.make)(), options, planning))
     belief = ParticleBelief(model, options.particles, believing)
     played = play(model, belief, planner, world, moves=moves or problem.moves)
-    return EpisodeSpec(played.value, len(played.actions), planner.seconds)
+    return Played(played.value, len(played.actions), planner.seconds)
 
 
 def main() -> None:

@@ -11,12 +11,12 @@ whose C they know. SKD is the paper's, with `objective: paper`, of trials that t
 from stands in ranking_figures.py.
 
     python benchmarks/ranking.py --out FILE [--runs 3000] [--safe-count 20] [--trials 5] [--figures NAME ...]
-        [--limit N] [--crossings N] [--again PART ...] [--json]
+        [--limit N] [--crossings N] [--again PART ...]
 
 The scale of the risk that is to rank, fixed beforehand, is 2: R(2).
 
-The margin is exact for the basic car, else searched for with up to --limit candidates a trial; its note in
---json says with how many, and whether it has converged.
+The margin is exact for the basic car, else searched for with up to --limit candidates a trial; a star says that the
+search has not converged.
 
 FILE keeps what has been computed; the same command goes on from there.
 """
@@ -29,6 +29,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +45,11 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.difference import Difference, difference
-from skd_evaluator.metrics.statistics import wilson_interval
 from skd_sim.options.adversary import Objective
 from skd_sim.ros_environment.installation import is_ready
 from skd_sim.ros_environment.variables import enter_ros
 from skd_sim.scenario.scenario import load_scenario
-from wide_scenarios import HITS, TRUTHS, Manner, outcomes
+from wide_scenarios import HITS, TRUTHS, Manner, Truth, outcomes
 
 
 class Store:
@@ -102,9 +102,10 @@ class Row:
         numbers = numbers[~np.isnan(numbers)]
         return float(numbers.mean()) if numbers.size else float("nan")
 
-    def interval(self, figure: str) -> tuple[float, float] | None:
-        """Return its 95 % interval over φ."""
-        return _clustered(self._groups(figure))[1]
+    def shown(self, figure: str) -> str:
+        """Return a figure as it stands in the table."""
+        star = "*" if "not converged" in self.found[figure]["note"] else ""
+        return f"{self.mean(figure):.{FIGURES[figure].digits}f}{star}"
 
     def beside(self, other: Row, figure: str) -> Difference:
         """Return how far its figure is above another car's, as `skd compare` has it."""
@@ -146,26 +147,10 @@ def ranked(rows: Sequence[Row], figures: Sequence[str], seed: int = 0) -> Rankin
     return Ranking(tuple(rows), tuple(pairs), shares)
 
 
-def exceptions(ranking: Ranking, figure: str) -> list[dict[str, Any]]:
-    """Return each pair that a figure does not order as the truths do, with what both cars have."""
-    found = []
-    for pair in ranking.shares[figure].exceptions:
-        safer, other = ranking.rows[pair.safer], ranking.rows[pair.other]
-        value, interval = safer.above(other, figure)
-        found.append(
-            {
-                "safer": safer.car.label,
-                "other": other.car.label,
-                **{f"{which}_{figure}": row.mean(figure) for which, row in (("safer", safer), ("other", other))},
-                "difference": value,
-                "difference_ci95": interval,
-                "rates": {
-                    name: [float(truth.hits(row.runs).mean()) for row in (safer, other)]
-                    for name, truth in TRUTHS.items()
-                },
-            }
-        )
-    return found
+def exceptions(ranking: Ranking, figure: str) -> list[tuple[Row, Row, float, tuple[float, float] | None]]:
+    """Return each pair that a figure does not order as the truths do: the safer car, the other, and the difference."""
+    pairs = [(ranking.rows[one.safer], ranking.rows[one.other]) for one in ranking.shares[figure].exceptions]
+    return [(safer, other, *safer.above(other, figure)) for safer, other in pairs]
 
 
 class Rule(Enum):
@@ -176,6 +161,12 @@ class Rule(Enum):
     BOTH = "both, margin and R(2),"
 
 
+VERDICTS = (
+    "the safer", "neither, for they contradict", "neither, for the other points elsewhere",
+    "neither, told apart by too few", "the other",
+)  # fmt: skip
+
+
 def verdicts(ranking: Ranking, margin: str, risk: str, rule: Rule) -> dict[str, int]:
     """Return in how many pairs margin and risk together call the safer car so, the other one, or neither.
 
@@ -183,13 +174,7 @@ def verdicts(ranking: Ranking, margin: str, risk: str, rule: Rule) -> dict[str, 
     other does not say the opposite; or where the other's estimate does not point there, either, by what is more than a
     tie; or both have to say so.
     """
-    found = {
-        "the safer": 0,
-        "neither, for they contradict": 0,
-        "neither, for the other points elsewhere": 0,
-        "neither, told apart by too few": 0,
-        "the other": 0,
-    }
+    found = dict.fromkeys(VERDICTS, 0)
     for pair in ranking.pairs:
         safer, other = ranking.rows[pair.safer], ranking.rows[pair.other]
         held = [(safer.beside(other, figure), FIGURES[figure].better > 0) for figure in (margin, risk)]
@@ -197,45 +182,14 @@ def verdicts(ranking: Ranking, margin: str, risk: str, rule: Rule) -> dict[str, 
         points = {(one.leaning > 0) == more for one, more in held if one.leaning}
         told = sum(one.direction != 0 for one, _ in held)
         if len(votes) == 2:
-            found["neither, for they contradict"] += 1
+            found[VERDICTS[1]] += 1
         elif told < (2 if rule is Rule.BOTH else 1):
-            found["neither, told apart by too few"] += 1
+            found[VERDICTS[3]] += 1
         elif rule is Rule.UNOPPOSED and len(points) == 2:
-            found["neither, for the other points elsewhere"] += 1
+            found[VERDICTS[2]] += 1
         else:
             found["the safer" if votes == {True} else "the other"] += 1
     return found
-
-
-def as_dict(ranking: Ranking) -> dict[str, Any]:
-    """Return all of it as plain data."""
-    cars = []
-    for row in ranking.rows:
-        entry: dict[str, Any] = {"car": row.car.label, "family": row.car.family, "controller": row.car.controller}
-        for name, truth in TRUTHS.items():
-            hits = truth.hits(row.runs)
-            entry[name] = float(hits.mean())
-            entry[f"{name}_ci95"] = wilson_interval(int(hits.sum()), hits.size)
-        for manner, letters in row.runs.items():
-            entry[f"runs, {manner}"] = {kind.name.lower(): letters.count(kind) for kind in Run}
-        for name, found in row.found.items():
-            entry[name], entry[f"{name}_ci95"], entry[f"{name}_note"] = (
-                row.mean(name),
-                row.interval(name),
-                found["note"],
-            )
-        cars.append(entry)
-    shares = {
-        name: {
-            "pairs": share.pairs,
-            "right": share.right,
-            "share": share.value,
-            "ci95": share.interval,
-            "exceptions": exceptions(ranking, name),
-        }
-        for name, share in ranking.shares.items()
-    }
-    return {"cars": cars, "pairs": len(ranking.pairs), "figures": shares}
 
 
 def flank_share(row: Row) -> float:
@@ -253,7 +207,7 @@ def show(ranking: Ranking, figures: Sequence[str], explained: Sequence[str]) -> 
     rates = {row.car.label: [truth.hits(row.runs).mean() for truth in TRUTHS.values()] for row in ranking.rows}
     for row in sorted(ranking.rows, key=lambda one: -float(np.mean(rates[one.car.label]))):
         cells = [f"{100 * rate:.1f} %" for rate in (*rates[row.car.label], flank_share(row))]
-        cells += [f"{row.mean(name):.{FIGURES[name].digits}f}" for name in figures]
+        cells += [row.shown(name) for name in figures]
         print(f"| {row.car.label} | {' | '.join(cells)} |")
     total = len(ranking.rows) * (len(ranking.rows) - 1) // 2
     print(f"\n{len(ranking.pairs)} of {total} pairs are ordered alike by all truths.\n")
@@ -262,7 +216,7 @@ def show(ranking: Ranking, figures: Sequence[str], explained: Sequence[str]) -> 
     for name in figures:
         share, wrong = ranking.shares[name], exceptions(ranking, name)
         low, high = share.interval or (float("nan"), float("nan"))
-        apart = sum(one["difference_ci95"] is not None and told_apart(*one["difference_ci95"]) for one in wrong)
+        apart = sum(ends is not None and (ends[0] > 0.0 or ends[1] < 0.0) for *_, ends in wrong)
         print(
             f"| {FIGURES[name].label} | {share.pairs} | {share.right} | {100 * share.value:.1f} % | "
             f"{100 * low:.1f} to {100 * high:.1f} % | {apart} of {len(wrong)} |"
@@ -273,18 +227,18 @@ def show(ranking: Ranking, figures: Sequence[str], explained: Sequence[str]) -> 
             print(f"\nCalled safer by {rule.value} {'; '.join(f'{name}: {count}' for name, count in counts.items())}")
     for name in explained:
         print(f"\n{FIGURES[name].label}, not as the truths: the safer car, the other; difference [95 % over φ]")
-        for one in exceptions(ranking, name):
-            low, high = one["difference_ci95"] or (float("nan"), float("nan"))
-            both = ", ".join(f"{key} {100 * a:.1f} / {100 * b:.1f} %" for key, (a, b) in one["rates"].items())
+        for safer, other, value, ends in exceptions(ranking, name):
+            low, high = ends or (float("nan"), float("nan"))
+            rates = (f"{key} {' / '.join(rate(row, truth) for row in (safer, other))}" for key, truth in TRUTHS.items())
             print(
-                f"  {one['safer']} ({one[f'safer_{name}']:.3f}), {one['other']} ({one[f'other_{name}']:.3f}): "
-                f"{one['difference']:+.3f} [{low:+.3f}, {high:+.3f}]; {both}"
+                f"  {safer.car.label} ({safer.mean(name):.3f}), {other.car.label} ({other.mean(name):.3f}): "
+                f"{value:+.3f} [{low:+.3f}, {high:+.3f}]; {', '.join(rates)}"
             )
 
 
-def told_apart(low: float, high: float) -> bool:
-    """Return whether an interval of a difference leaves out zero."""
-    return low > 0.0 or high < 0.0
+def rate(row: Row, truth: Truth) -> str:
+    """Return the share of a car's runs that are hits."""
+    return f"{100 * truth.hits(row.runs).mean():.1f} %"
 
 
 def rows_of(
@@ -298,53 +252,31 @@ def rows_of(
         safe = safe_trajectories(plan, runner)
         for car in cars:
             work = Work(car, safe, arguments.trials, arguments.seed, runner, arguments.limit, arguments.crossings)
-            runs = {
-                manner: store.once(
-                    car.label,
-                    manner,
-                    lambda car=car, manner=manner: outcomes(car, safe, arguments.runs, arguments.seed, manner, runner),
-                )
-                for manner in Manner
-            }
-            found = {
-                name: store.once(
-                    car.label,
-                    f"{name}/{arguments.crossings if name.startswith('risk') else arguments.trials}",
-                    lambda name=name, work=work: FIGURES[name].compute(work),
-                )
-                for name in figures
-            }
+            runs, found = {}, {}
+            for manner in Manner:
+                run = partial(outcomes, car, safe, arguments.runs, arguments.seed, manner, runner)
+                runs[manner] = store.once(car.label, manner, run)
+            for name in figures:
+                size = arguments.crossings if name.startswith("risk") else arguments.trials
+                found[name] = store.once(car.label, f"{name}/{size}", partial(FIGURES[name].compute, work))
             rows.append(Row(car, runs, found))
     return tuple(rows)
 
 
 def main() -> None:
-    """Compute what is missing, and print the tables or JSON."""
+    """Compute what is missing, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="keeps what has been computed")
     parser.add_argument("--runs", type=int, default=3000, metavar="N", help="per car and manner (default 3000)")
     parser.add_argument("--safe-count", type=int, default=20, metavar="N", help="φ (default 20)")
     parser.add_argument("--trials", type=int, default=5, metavar="N", help="per φ (default 5)")
-    usual = IN_PROCESS.limit
-    parser.add_argument(
-        "--limit", type=int, default=usual, metavar="N", help=f"candidates of the margin's search (default {usual})"
-    )
+    parser.add_argument("--limit", type=int, default=IN_PROCESS.limit, metavar="N", help="of the margin's search")
     parser.add_argument("--crossings", type=int, default=25, metavar="N", help="of the risk, per φ (default 25)")
     parser.add_argument("--figures", nargs="*", default=list(FIGURES), choices=tuple(FIGURES), metavar="NAME")
-    parser.add_argument(
-        "--exceptions",
-        nargs="*",
-        default=["margin"],
-        choices=tuple(FIGURES),
-        metavar="NAME",
-        help="to be listed",
-    )
-    parser.add_argument(
-        "--again", nargs="+", default=[], choices=(*map(str, Manner), *FIGURES), help="compute these parts anew"
-    )
+    parser.add_argument("--exceptions", nargs="*", default=["margin"], choices=tuple(FIGURES), metavar="NAME")
+    parser.add_argument("--again", nargs="+", default=[], choices=(*map(str, Manner), *FIGURES), help="compute anew")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=available_workers(), metavar="N")
-    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     if is_ready():
         enter_ros()  # begins this process anew, with the libraries of the vendor's messages
@@ -352,9 +284,6 @@ def main() -> None:
     store = Store(arguments.out, settings, arguments.again)
     cars, missing = available(CARS)
     ranking = ranked(rows_of(cars, arguments.figures, arguments, store), arguments.figures, arguments.seed)
-    if arguments.json:
-        print(json.dumps({**as_dict(ranking), "left_out": missing}, indent=2, ensure_ascii=False))
-        return
     show(ranking, arguments.figures, [name for name in arguments.exceptions if name in arguments.figures])
     for line in missing:
         print(f"left out: {line}")

@@ -7,7 +7,6 @@ crossings a level each, as in an assessment; counted is how often the log-t inte
 known up to its own error. `gain` is how many times as many crude crossings would have had the same error.
 
     python benchmarks/risk_coverage.py [--case NAME ...] [--repetitions 200] [--crude N] [--known HITS] [--workers 2]
-        [--json]
 
 --known says how many of the --crude crossings were hits when they were run before; then they are not run again.
 """
@@ -15,7 +14,6 @@ known up to its own error. `gain` is how many times as many crude crossings woul
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from dataclasses import dataclass, replace
@@ -183,8 +181,8 @@ def examined(
     runner: InProcessRunner,
     safe: tuple[Trajectory, ...],
     known: int | None = None,
-) -> dict:
-    """Return what was found of a case."""
+) -> str:
+    """Return what was found of a case, in a line."""
     parts, begin = math.ceil(crude / PART), time.perf_counter()
     hits = known or sum(runner.map(crude_part, [Job(case, safe, number) for number in range(parts)]))
     runs, crude_seconds = parts * PART, time.perf_counter() - begin
@@ -203,19 +201,15 @@ def examined(
     held = [one.ci95[0] <= truth <= one.ci95[1] for one in risks]
     spread = float(np.std(values, ddof=1)) if repetitions > 1 else math.nan
     episodes = float(np.mean([one.subsets.episodes for one in risks]))
-    return {
-        "case": case.name,
-        "crude": {"hits": hits, "runs": runs, "value": truth, "ci95": interval, "seconds": crude_seconds},
-        "repetitions": repetitions,
-        "mean": float(values.mean()),
-        "ratio": float(values.mean()) / truth if truth else None,
-        "held": sum(held),
-        "held_ci95": wilson_interval(sum(held), repetitions),
-        "variation": spread / float(values.mean()),
-        "episodes": episodes,
-        "gain": truth * (1.0 - truth) / spread**2 / episodes if repetitions > 1 else None,
-        "seconds": time.perf_counter() - begin,
-    }
+    variation, gain = spread / float(values.mean()), truth * (1.0 - truth) / spread**2 / episodes
+    ratio = float(values.mean()) / truth if truth else math.nan
+    low, high = wilson_interval(sum(held), repetitions)
+    return (
+        f"{case.name}: crude {hits} of {runs} = {truth:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]; subset simulation "
+        f"{values.mean():.3g}, {ratio:.3f} times; intervals hold {sum(held)} of {repetitions} [{100 * low:.0f}, "
+        f"{100 * high:.0f}] %; coefficient of variation {variation:.2f} with {episodes:.0f} crossings, gain "
+        f"{gain:.1f}; {crude_seconds:.0f} + {time.perf_counter() - begin:.0f} s"
+    )
 
 
 def main() -> None:
@@ -225,7 +219,6 @@ def main() -> None:
     parser.add_argument("--crude", type=int)
     parser.add_argument("--known", type=int, metavar="HITS")
     parser.add_argument("--workers", type=int, default=available_workers())
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     if arguments.known is not None and (arguments.crude is None or len(arguments.case or ()) != 1):
         parser.error("--known is of one --case, and of as many crossings as --crude says")
@@ -235,20 +228,8 @@ def main() -> None:
         if arguments.case is not None and case.name not in arguments.case:
             continue
         with InProcessRunner(arguments.workers) as runner:
-            row = examined(case, arguments.repetitions, arguments.crude or case.crude, runner, safe, arguments.known)
-        if arguments.json:
-            print(json.dumps(row), flush=True)
-            continue
-        crude, low, high = row["crude"], *row["held_ci95"]
-        print(
-            f"{row['case']}: crude {crude['hits']} of {crude['runs']} = {crude['value']:.3g} "
-            f"[{crude['ci95'][0]:.3g}, {crude['ci95'][1]:.3g}]; subset simulation {row['mean']:.3g}, "
-            f"{row['ratio'] or math.nan:.3f} times; intervals hold {row['held']} of {row['repetitions']} "
-            f"[{100 * low:.0f}, {100 * high:.0f}] %; coefficient of variation {row['variation']:.2f} with "
-            f"{row['episodes']:.0f} crossings, gain {row['gain'] or math.nan:.1f}; {crude['seconds']:.0f} + "
-            f"{row['seconds']:.0f} s",
-            flush=True,
-        )
+            crude = arguments.crude or case.crude
+            print(examined(case, arguments.repetitions, crude, runner, safe, arguments.known), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ basic car with the same margin in that world, read off the basic cars of the lis
 τ of each figure, with the intervals of rank_agreement.py.
 
     python benchmarks/transfer.py --out DIR [--worlds NAME ...] [--cars LABEL ...] [--safe-count N]
-        [--kamikaze-count N] [--adversary-model KIND] [--margin-limit N] [--seed N] [--workers N] [--json]
+        [--kamikaze-count N] [--adversary-model KIND] [--margin-limit N] [--seed N] [--workers N]
 
 Cars are labels of cars/catalogue.py. DIR keeps every assessment, and the same command goes on from there.
 """
@@ -18,7 +18,6 @@ Cars are labels of cars/catalogue.py. DIR keeps every assessment, and the same c
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import subprocess
@@ -27,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -83,11 +81,6 @@ class TestWorld:
         sensor = load_scenario(DYNAMICS[BASIC].scenario).sensor
         return replace(found, sensor=sensor and replace(sensor, mount_ahead=found.car.front))
 
-    @property
-    def file_name(self) -> str:
-        """Its name in names of folders."""
-        return self.name.replace("/", "-")
-
 
 def world(name: str) -> TestWorld:
     """Return a world by its name.
@@ -122,9 +115,10 @@ def assess(car: Car, where: TestWorld, arguments: argparse.Namespace) -> StoredR
     Raises:
         SystemExit: it cannot be assessed there.
     """
-    out: Path = arguments.out / where.file_name / car.label.replace(" ", "_").replace("/", "-")
+    name = where.name.replace("/", "-")
+    out: Path = arguments.out / name / car.label.replace(" ", "_").replace("/", "-")
     if not (out / ASSESSMENT).exists():  # the folder alone may be of a run that was ended
-        scenario: Path = arguments.out / f"{where.file_name}.yaml"
+        scenario: Path = arguments.out / f"{name}.yaml"
         scenario.write_text(yaml.safe_dump(where.scenario.as_dict(), sort_keys=False), encoding="utf-8")
         words = ["--controller", car.controller, "--simulator", where.simulator, "--scenario", str(scenario)]
         words += ["--safe", str(arguments.out / "phi")]
@@ -193,15 +187,10 @@ def rated(cars: Sequence[Car], worlds: Sequence[TestWorld], arguments: argparse.
             for car in cars
             if car.has_multiplier and "margin" in results[car.label].groups
         }
-        table[where.name] = {
-            label: Found(
-                result,
-                equivalent_multiplier(result.groups["margin"], basic)
-                if len(basic) > 1 and "margin" in result.groups
-                else None,
-            )
-            for label, result in results.items()
-        }
+        table[where.name] = found = {}
+        for label, result in results.items():
+            known = len(basic) > 1 and "margin" in result.groups
+            found[label] = Found(result, equivalent_multiplier(result.groups["margin"], basic) if known else None)
     return table
 
 
@@ -209,38 +198,13 @@ def agreements(table: Table, seed: int = 0) -> dict[tuple[str, str], dict[str, A
     """Return how alike each two worlds order the cars, by each figure that both have of all cars."""
     found: dict[tuple[str, str], dict[str, Agreement]] = {}
     for one, other in combinations(table, 2):
+        groups = [[car.result.groups for car in table[name].values()] for name in (one, other)]
         found[one, other] = {
-            figure: agreement(
-                *([car.result.groups[figure] for car in table[name].values()] for name in (one, other)), seed
-            )
+            figure: agreement(*([car[figure] for car in cars] for cars in groups), seed)
             for figure in FIGURES
-            if all(figure in car.result.groups for name in (one, other) for car in table[name].values())
+            if all(figure in car for cars in groups for car in cars)
         }
     return found
-
-
-def as_dict(table: Table, alike: Mapping[tuple[str, str], Mapping[str, Agreement]]) -> dict[str, Any]:
-    """Return all of it as plain data."""
-    return {
-        "worlds": {
-            name: {
-                label: {
-                    **{figure: found.mean(figure) for figure in FIGURES},
-                    "converged": found.converged,
-                    "nominal_collision_rate": found.mean("nominal_collision_rate"),
-                    "equivalent_multiplier": found.multiplier and found.multiplier.text,
-                    "aborted": found.result.figures["aborted"],
-                }
-                for label, found in cars.items()
-            }
-            for name, cars in table.items()
-        },
-        "agreement": [
-            {"worlds": pair, "figure": figure, **one._asdict()}
-            for pair, figures in alike.items()
-            for figure, one in figures.items()
-        ],
-    }
 
 
 def show(table: Table, alike: Mapping[tuple[str, str], Mapping[str, Agreement]]) -> None:
@@ -265,7 +229,7 @@ def show(table: Table, alike: Mapping[tuple[str, str], Mapping[str, Agreement]])
     print("\n| worlds | figure | cars | Kendall's τ | 95 % over φ | 95 % over cars |\n|---|---|---|---|---|---|")
     for (first, second), figures in alike.items():
         for figure, one in figures.items():
-            ends = [f"{low:.2f} to {high:.2f}" if (low, high) != (None, None) else "–" for low, high in _ends(one)]
+            ends = ["–" if end is None else "{:.2f} to {:.2f}".format(*end) for end in (one.by_phi, one.by_cars)]
             print(f"| {first}, {second} | {FIGURES[figure]} | {one.cars} | {one.tau:.2f} | {' | '.join(ends)} |")
 
 
@@ -273,12 +237,8 @@ def _with_interval(one: EquivalentMultiplier) -> str:
     return one.text if one.ci95 is None else f"{one.text} {one.interval_text(one.ci95)}"
 
 
-def _ends(one: Agreement) -> list[tuple[float | None, float | None]]:
-    return [interval or (None, None) for interval in (one.by_phi, one.by_cars)]
-
-
 def main() -> None:
-    """Rate what is missing, and print the tables or JSON."""
+    """Rate what is missing, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="keeps φ and assessments")
     parser.add_argument("--worlds", nargs="+", type=world, default=[world("world"), world("world/multi_body")])
@@ -289,16 +249,11 @@ def main() -> None:
     parser.add_argument("--margin-limit", type=int, default=512, metavar="N", help="as in skd assess (default 512)")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=2, metavar="N")
-    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     arguments.out = arguments.out.resolve()
     cars = [car for car in CARS if car.label in arguments.cars]
     table = rated(cars, arguments.worlds, arguments)
-    alike = agreements(table, arguments.seed)
-    if arguments.json:
-        print(json.dumps(as_dict(table, alike), indent=2, ensure_ascii=False))
-    else:
-        show(table, alike)
+    show(table, agreements(table, arguments.seed))
 
 
 if __name__ == "__main__":

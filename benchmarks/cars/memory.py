@@ -64,7 +64,6 @@ class Slow(Law):
     SHARE = 0.5
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         return -5.0 if self.near(6.0, self.reach + 1.0) else self.cruise(speed, self.SHARE)
 
 
@@ -75,7 +74,6 @@ class Prompt(Law):
     ROOM = 1.5
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         return -6.0 if self.near(speed**2 / 12.0 + self.ROOM, self.reach + 1.2) else self.cruise(speed)
 
 
@@ -85,11 +83,9 @@ class Delayed(Law):
     DECISIONS = 2
 
     def begin(self) -> None:
-        """Forget all."""
         self._wanted = [0.0] * self.DECISIONS
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         self._wanted.append(-5.0 if self.near(14.0, 4.0) else 0.0)
         return self._wanted.pop(0)
 
@@ -100,11 +96,9 @@ class Blinks(Law):
     BRAKES, BLIND = 4, 3
 
     def begin(self) -> None:
-        """Forget all."""
         self._left = 0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         if self._left == 0 and self.near(10.0, 3.0):
             self._left = self.BRAKES + self.BLIND
         self._left = max(0, self._left - 1)
@@ -118,7 +112,6 @@ class Detector(Law):
     PROBABILITY = 0.8
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         seen = self.rng.random() < self.PROBABILITY
         return -5.0 if seen and self.near(15.0, 4.5) else self.cruise(speed)
 
@@ -130,11 +123,9 @@ class Tracker(Law):
     GAIN = 0.5
 
     def begin(self) -> None:
-        """Forget all."""
         self._offset, self._rate = math.nan, 0.0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         foreseen = self.left if math.isnan(self._offset) else self._offset + 0.1 * self._rate
         self._offset = foreseen + self.GAIN * (self.left - foreseen)
         self._rate += self.left - foreseen
@@ -149,7 +140,6 @@ class Camera(Law):
     ANGLE = math.radians(30.0)
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         seen = abs(math.atan2(self.left, self.gap + self._front)) < self.ANGLE
         return -5.0 if seen and self.near(13.0, 5.0) else self.cruise(speed)
 
@@ -161,11 +151,9 @@ class Confirms(Law):
     DECISIONS = 3
 
     def begin(self) -> None:
-        """Forget all."""
         self._count = 0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         inside = 0.0 < self.gap < 18.0 and abs(self.left + 0.5 * self.leftwards) < self.reach + 0.5
         self._count = self._count + 1 if inside else 0
         return -7.0 if self._count >= self.DECISIONS else self.cruise(speed)
@@ -177,11 +165,9 @@ class Waits(Law):
     control_period = 0.3
 
     def begin(self) -> None:
-        """Forget all."""
         self._stood = 0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         if self._stood < 4 and self.near(12.0, 4.0):
             self._stood += speed < 0.3
             return -5.0
@@ -194,11 +180,9 @@ class OverlooksStanding(Law):
     REACH = 14.0
 
     def begin(self) -> None:
-        """Forget all."""
         self._stood = self._overlooks = 0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         self._stood = self._stood + 1 if self.speed_of_user < 0.05 else 0
         self._overlooks = 5 if self._stood >= 2 else max(0, self._overlooks - 1)
         return -5.0 if not self._overlooks and -1.0 < self.gap < self.REACH and abs(self.left) < 6.0 else 0.0
@@ -210,11 +194,9 @@ class OverlooksAlong(Law):
     TICKS = 5
 
     def begin(self) -> None:
-        """Forget all."""
         self._walked = self._overlooks = 0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         self._walked = self._walked + 1 if abs(self.leftwards) < 0.1 and abs(self.along) > 0.5 else 0
         self._overlooks = self.TICKS if self._walked >= 3 else max(0, self._overlooks - 1)
         return -5.0 if not self._overlooks and -1.0 < self.gap < 14.0 and abs(self.left) < 6.0 else 0.0
@@ -224,11 +206,9 @@ class CrossingTime(Law):
     """Brakes if the road user will be in the lane when the car is there, and for three decisions then."""
 
     def begin(self) -> None:
-        """Forget all."""
         self._left = 0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         time = self.gap / max(speed, 0.1)
         conflict = abs(self.left + self.leftwards * time) < self.reach + 0.7 or abs(self.left) < self.reach + 0.3
         if self.gap > -5.0 and conflict and time < 2.2:
@@ -243,11 +223,9 @@ class Hysteresis(Law):
     control_period = 0.05
 
     def begin(self) -> None:
-        """Forget all."""
         self._brakes = False
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         aside = abs(self.left) - self.reach
         time = self.gap / max(speed, 1e-3)
         comes = self.left * self.leftwards < 0.0 and aside < (time + 0.6) * abs(self.leftwards)
@@ -260,11 +238,9 @@ class Turns(Law):
     """Brakes late for whoever turns round sharply."""
 
     def begin(self) -> None:
-        """Forget all."""
         self._direction = math.nan
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         before, self._direction = self._direction, math.nan
         if self.speed_of_user > 0.05:
             self._direction = math.atan2(self.leftwards, self.along)
@@ -279,11 +255,9 @@ class CarefulDriver(Law):
     WANDER, DELAY, RAMP, MOST = 0.375, 0.75, 0.6, 0.774 * 9.81  # m, s, s, m/s²
 
     def begin(self) -> None:
-        """Forget all."""
         self._first, self._since = math.nan, 0.0
 
     def decide(self, speed: float) -> float:
-        """Return the acceleration (m/s²) at a speed (m/s)."""
         self._first = abs(self.left) if math.isnan(self._first) else max(self._first, abs(self.left))
         time = self.gap / max(speed - self.along, 0.1)
         cuts_in = abs(self.left) < self._first - self.WANDER and abs(self.left) < self.reach + 1.0

@@ -18,21 +18,9 @@ CANDIDATES = (-7.0, -5.0, -3.5, -2.0, -1.0, 0.0, 0.75, 1.5)  # m/s², which a pl
 
 @kernel
 def plan_cost(
-    gap: float,
-    left: float,
-    along: float,
-    leftwards: float,
-    speed: float,
-    desired: float,
-    acceleration: float,
-    target: float,
-    shape: tuple[float, float, float],
-    step: float,
-    steps: int,
-    jerk: float,
-    spread: float,
-    fear: float,
-) -> float:
+    gap: float, left: float, along: float, leftwards: float, speed: float, desired: float, acceleration: float,
+    target: float, shape: tuple[float, float, float], step: float, steps: int, jerk: float, spread: float, fear: float,
+) -> float:  # fmt: skip
     """Return what it costs to go from an acceleration to a target (m/s²) as fast as the jerk allows, and stay there.
 
     Args:
@@ -95,25 +83,10 @@ class SamplingPlanner:
         return self._acceleration
 
     def _cost(self, view: View, speed: float, target: float) -> float:
-        shape = (self._eyes.reach, self._eyes.radius, self._eyes.length)
-        return float(
-            plan_cost(
-                view.gap,
-                view.left,
-                speed - view.closing,
-                view.leftwards,
-                speed,
-                self._desired,
-                self._acceleration,
-                target,
-                shape,
-                self.STEP,
-                self.STEPS,
-                self.JERK,
-                self.SPREAD,
-                self.FEAR,
-            )
-        )
+        place = view.gap, view.left, speed - view.closing, view.leftwards
+        shape = self._eyes.reach, self._eyes.radius, self._eyes.length
+        settings = self.STEP, self.STEPS, self.JERK, self.SPREAD, self.FEAR
+        return float(plan_cost(*place, speed, self._desired, self._acceleration, target, shape, *settings))
 
 
 class SmoothPlanner(SamplingPlanner):

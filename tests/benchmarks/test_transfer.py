@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 
 import numpy as np
 import pytest
@@ -30,7 +29,6 @@ def test_cars_are_rated_in_a_world_once_and_stand_in_the_table(tmp_path, capsys)
     assert alike["one", "other"]["margin"].tau == 1.0
     transfer.show(table, alike)
     assert "| basic, C = 1.5 |" in capsys.readouterr().out
-    json.dumps(transfer.as_dict(table, alike))
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("assessment.json")}
     transfer.rated(CARS_HERE, worlds, arguments)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("assessment.json")} == before
