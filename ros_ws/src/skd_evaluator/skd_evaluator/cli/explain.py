@@ -45,11 +45,13 @@ class Explanation:
         hits: name of the car that hits.
         misses: name of the car that does not.
         trial: the smallest trial that shows it; None: none was found.
+        controller: what the car that hits is called where it is driven again; empty: as in the trial.
     """
 
     hits: str
     misses: str
     trial: DistinguishingTrial | None
+    controller: str = ""
 
     @property
     def text(self) -> str:
@@ -80,7 +82,7 @@ class Explanation:
         if self.trial is None:
             return ""
         episode, folder = self.trial.hits.episode, out / self.folder
-        words = [program(), "assess", "--controller", episode.controller]
+        words = [program(), "assess", "--controller", self.controller or episode.controller]
         words += ["--multiplier", f"{episode.multiplier!r}"] if episode.car.has_multiplier else []
         words += ["--scenario", str(folder / SCENARIO_FILE), "--safe", str(folder / TRAJECTORY_FILE)]
         words += ["--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--margin-limit", "0"]
@@ -99,7 +101,9 @@ class Explanation:
         places = enumerate(episode.safe_trajectory.positions.tolist())
         rows = [f"{tick * step!r},{x!r},{y!r}" for tick, (x, y) in places]
         (folder / TRAJECTORY_FILE).write_text("\n".join(["t,x,y", *rows, ""]), encoding="utf-8")
-        car = repr(episode.controller) + (f", multiplier={episode.multiplier!r}" if episode.car.has_multiplier else "")
+        car = repr(self.controller or episode.controller) + (
+            f", multiplier={episode.multiplier!r}" if episode.car.has_multiplier else ""
+        )
         text = _TEST.format(deviation=trial.hit.distance, seed=episode.seed, car=car)
         (folder / "test_hit.py").write_text(text, encoding="utf-8")
         for log, name, file in ((trial.hits, self.hits, "hits.png"), (trial.misses, self.misses, "misses.png")):

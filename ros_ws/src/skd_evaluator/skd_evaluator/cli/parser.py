@@ -135,7 +135,12 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """
     if not words:
         words = ["--help"]
+    rest: list[str] | None = None
+    if "--" in words and (first := commands_of(parser).get(words[0])) and first.get_default("words") is not None:
+        words, rest = words[: words.index("--")], list(words[words.index("--") + 1 :])
     arguments, unknown = parser.parse_known_args(words)
+    if rest is not None:  # the words of another command
+        arguments.words = rest
     chosen = commands_of(parser)[arguments.command]
     if problem := getattr(arguments, "problem", ""):
         parser.exit(EXIT_USAGE, f"{parser.prog}: error: {problem}\n")

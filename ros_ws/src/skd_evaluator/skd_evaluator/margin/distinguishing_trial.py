@@ -74,6 +74,35 @@ class DistinguishingTrial:
         }
 
 
+class TestedCar(NamedTuple):
+    """A car that can be run here, and what is known of it.
+
+    Attributes:
+        car: the car.
+        scenario: the scenario, with the control period that the car declares.
+        seed: of the trials.
+        safe: each φ, n × 2, m.
+        hits: trajectories that hit it or are likely to, the φ of each as bytes and the positions at ticks, n × 2, m.
+    """
+
+    car: CarUnderTest
+    scenario: Scenario
+    seed: int
+    safe: Sequence[FloatArray]
+    hits: Sequence[tuple[bytes, FloatArray]]
+
+    def drives(self, episode: EpisodeSpec) -> EpisodeSpec:
+        """Return an episode with this car under test."""
+        return replace(
+            episode,
+            scenario=replace(episode.scenario, control_period=self.scenario.control_period),
+            public=None,
+            controller=self.car.controller,
+            multiplier=self.car.multiplier,
+            adversary_model=AdversaryModel.GENERIC,  # nothing is planned
+        )
+
+
 class _BothCars:
     """A runner of one car that has another one drive where it hits.
 
@@ -82,7 +111,7 @@ class _BothCars:
         alone: whether a hit counts only where the other car does not hit.
     """
 
-    def __init__(self, runner: Runner, other: _Car) -> None:
+    def __init__(self, runner: Runner, other: TestedCar) -> None:
         self._runner, self._other = runner, other
         self.apart: list[FloatArray] = []
         self.alone = False
@@ -100,25 +129,6 @@ class _BothCars:
             yield log
 
 
-class _Car(NamedTuple):
-    """A car, and how often it decides, s; None: once a time step."""
-
-    car: CarUnderTest
-    control_period: float | None
-
-    def drives(self, episode: EpisodeSpec) -> EpisodeSpec:
-        """Return an episode with this car under test."""
-        scenario = replace(episode.scenario, control_period=self.control_period)
-        return replace(
-            episode,
-            scenario=scenario,
-            public=None,
-            controller=self.car.controller,
-            multiplier=self.car.multiplier,
-            adversary_model=AdversaryModel.GENERIC,  # nothing is planned
-        )
-
-
 def distinguishing_trials(
     first: StoredResult, second: StoredResult, progress: Progress = silent
 ) -> tuple[DistinguishingTrial | None, DistinguishingTrial | None]:
@@ -133,15 +143,15 @@ def distinguishing_trials(
         UsageError: a car cannot be run here.
         AssessmentError: it fails.
     """
-    cars = [_Car(car_of(one), scenario_of(one).control_period) for one in (first, second)]
-    known = [_hits_of(one) for one in (first, second)]
-    hits = [(safe, positions) for of_one in known for safe, positions in of_one]
-    with InProcessRunner(available_workers(), isolated=not all(one.car.is_own for one in cars)) as runner:
+    one, other = map(_tested, (first, second))
+    with InProcessRunner(available_workers(), isolated=not (one.car.is_own and other.car.is_own)) as runner:
         runner.start()
-        first_only, second_only = (
-            _least(one, cars[at], cars[1 - at], hits, runner, progress) for at, one in enumerate((first, second))
-        )
-    return first_only, second_only
+        return smallest_trial(one, other, runner, progress), smallest_trial(other, one, runner, progress)
+
+
+def _tested(result: StoredResult) -> TestedCar:
+    safe, seed = result.safe, int(result.figures["seed"])
+    return TestedCar(car_of(result), scenario_of(result), seed, safe, _hits_of(result))
 
 
 def _hits_of(result: StoredResult) -> list[tuple[bytes, FloatArray]]:
@@ -152,28 +162,33 @@ def _hits_of(result: StoredResult) -> list[tuple[bytes, FloatArray]]:
     return [(phi.tobytes(), whole_trajectory(hit)) for phi, hits in pairs for hit in hits if hit is not None]
 
 
-def _least(
-    result: StoredResult,
-    car: _Car,
-    other: _Car,
-    hits: Sequence[tuple[bytes, FloatArray]],
-    runner: Runner,
-    progress: Progress,
+def smallest_trial(
+    car: TestedCar, other: TestedCar, runner: Runner, progress: Progress = silent
 ) -> DistinguishingTrial | None:
-    """Return the smallest trial in which one car hits and the other does not; None where none was found."""
+    """Return the smallest trial in which one car hits and the other does not; None where none was found.
+
+    Args:
+        car: the one that hits; the trials are on its φ.
+        other: the one that does not.
+        runner: has been started.
+        progress: called with how far the work is.
+
+    Raises:
+        AssessmentError: a car fails.
+    """
     both, found = _BothCars(runner, other), None
     rounds = by_episodes(both, silent)
-    scenario = scenario_of(result)
-    for number, phi in enumerate(result.safe):
+    scenario, hits = car.scenario, (*car.hits, *other.hits)
+    for number, phi in enumerate(car.safe):
         bound = scenario.eta_max if found is None else found.hit.distance
         safe = Trajectory(phi, scenario.time_step)
-        trial = _first_run(replace(scenario, eta_max=bound), safe, int(result.figures["seed"]), car)
+        trial = _first_run(replace(scenario, eta_max=bound), safe, car.seed, car)
         known = [prescribed(trial, one) for one in (phi, *(hit for of, hit in hits if of == phi.tobytes()))]
         both.apart, both.alone = [], False  # hits of least deviation of this car are likely to be its alone
         search_margins([trial], {trial.episode_id: list(both.run(known))}, rounds, EFFORT)
         known, both.alone = [prescribed(trial, one) for one in both.apart], True
         searched = search_margins([trial], {trial.episode_id: list(both.run(known))}, rounds, EFFORT)
-        progress("trials that tell the cars apart", number + 1, len(result.safe))
+        progress("trials that tell the cars apart", number + 1, len(car.safe))
         (hit,), (episode,) = searched.hits, searched.episodes
         if hit is not None and episode is not None:
             shown = replace(episode, scenario=replace(episode.scenario, eta_max=scenario.eta_max))
@@ -184,7 +199,7 @@ def _least(
     return found
 
 
-def _first_run(scenario: Scenario, safe: Trajectory, seed: int, car: _Car) -> EpisodeSpec:
+def _first_run(scenario: Scenario, safe: Trajectory, seed: int, car: TestedCar) -> EpisodeSpec:
     """Return the first run along a φ as the only one of its scenario, for a search: in kamikaze mode."""
     number = episode_id(EpisodeGroup.NOMINAL, 0, 0)
     start = EpisodeSpec(scenario, Mode.KAMIKAZE, seed, number, safe_trajectory=safe).start_gap

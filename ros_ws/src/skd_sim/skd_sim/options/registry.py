@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 LONGEST_NAME = 16
 """Characters that a name may have: recordings keep a column of them."""
 _NAME = re.compile(r"[A-Za-z_][\w-]*")
+CHECKOUTS: dict[str, tuple[str, ...]] = {}
+"""By a folder of checkouts: the folders in each of them from which its files import before all others."""
 
 
 def load(target: str, what: str) -> Any:
@@ -71,6 +73,10 @@ def _module_of_file(path: Path) -> ModuleType:
     top = next(folder for folder in path.parents if not (folder / "__init__.py").is_file())
     if str(top) not in sys.path:
         sys.path.append(str(top))
+        for checkouts, folders in CHECKOUTS.items():
+            if path.is_relative_to(checkouts):
+                checkout = Path(checkouts, path.relative_to(checkouts).parts[0])
+                sys.path[:0] = [str(top), *(str(checkout / one) for one in folders)]
     if top != path.parent:
         return importlib.import_module(".".join(path.relative_to(top).with_suffix("").parts))
     name = f"{path.stem}_{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}"  # two files may have one name

@@ -1,0 +1,135 @@
+"""Which commit made a car worse: the test of a revision, and the command on a repository with a known answer."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_support import one_line, skd
+from skd_evaluator.margin.paired_test import ERROR, SCALE, e_values, level_of
+
+CAR = '''
+import limits
+
+
+class Brake:
+    """Brakes for whoever will be in front of it within a time to collision."""
+
+    def reset(self, scenario, rng):
+        pass
+
+    def command(self, car, adversary):
+        gap = adversary.y - car.y - 2.25
+        if gap < 0.0 or car.speed <= 0.0:
+            return 0.0
+        time = gap / car.speed
+        aside = adversary.x + adversary.vx * min(time, 1.4)
+        return -7.0 if time < 1.4 and abs(aside) < limits.SIDE else 0.0
+'''
+HISTORY = {  # what each commit changes, and its message
+    "start": [("src/team/__init__.py", ""), ("src/team/cars.py", CAR), ("lib/limits.py", "SIDE = 1.5\n")],
+    "other words": [("src/team/cars.py", CAR.replace("time", "after"))],
+    "broken": [("lib/limits.py", "SIDE = 1.5  #\nraise ValueError('no')\n")],
+    "stands": [
+        ("lib/limits.py", "SIDE = 1.5\n"),
+        ("src/team/cars.py", CAR.replace("return 0.0", "return -7.0").replace("else 0.0", "else -7.0")),
+    ],
+    "mended": [("src/team/cars.py", CAR.replace("time", "after"))],
+    "worse": [("lib/limits.py", "SIDE = 1.1\n")],  # of the same size, and within the second
+    "more words": [("src/team/cars.py", CAR.replace("aside", "left"))],
+    "notes": [("notes.md", "nothing of the car\n")],
+}
+OPTIONS = ("--", "--controller", "team.cars:Brake", "--safe-count", "24", "--seed", "3")
+
+
+def git(repository: Path, *words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=repository, check=True, capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+@pytest.fixture(scope="module")
+def repository(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A repository whose car imports from a folder of its own on PYTHONPATH; tags name its commits."""
+    made = tmp_path_factory.mktemp("repository")
+    git(made, "init", "-q")
+    git(made, "config", "user.name", "nobody")
+    git(made, "config", "user.email", "nobody@example.org")
+    for message, changes in HISTORY.items():
+        for file, text in changes:
+            (made / file).parent.mkdir(parents=True, exist_ok=True)
+            (made / file).write_text(text, encoding="utf-8")
+        git(made, "add", "-A")
+        git(made, "commit", "-qm", message)
+        git(made, "tag", message.replace(" ", "-"))
+    return made
+
+
+def bisect(repository: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    path = f"{repository}/src:{repository}/lib"
+    return skd("bisect", *words, *OPTIONS, cwd=repository, PYTHONPATH=path)
+
+
+def test_a_fair_coin_seldom_wins_and_never_on_average():
+    flips = SCALE * np.array(list(itertools.product((-1.0, 1.0), repeat=12)))
+    capital = np.array([e_values(one) for one in flips])
+    assert capital[:, -1].mean() == pytest.approx(1.0)
+    assert (capital.max(axis=1) >= 1.0 / ERROR).mean() <= ERROR
+
+
+def test_greater_differences_count_as_the_scale_and_none_as_nothing():
+    shares = np.linspace(0.1, 0.9, 9)
+    assert e_values(np.array([9.0, 0.0, -SCALE / 2]))[-1] == pytest.approx(((1 + shares) * (1 - shares / 2)).mean())
+
+
+def test_the_level_grows_with_the_verdicts_that_a_bisection_takes():
+    assert [level_of(count) * ERROR for count in (1, 2, 64, 65)] == [2, 3, 8, 9]
+
+
+def test_the_commit_is_found_and_shown_by_a_trial(repository, tmp_path):
+    (repository / "lib" / "limits.py").write_text("a change that is not committed", encoding="utf-8")
+    before = git(repository, "status", "--porcelain", "--branch")
+    found = bisect(repository, "start", "notes", "--out", str(tmp_path / "out"), "--json")
+    assert found.returncode == 0, found.stderr
+    content = json.loads(found.stdout)
+    assert content["first_bad"] == git(repository, "rev-parse", "worse")
+    verdicts = {one["commit"]: one for one in content["tested"]}
+    assert verdicts[git(repository, "rev-parse", "mended")]["why"] == "drives as a version that is judged, to the bit"
+    (trial,) = (tmp_path / "out").glob("*/trajectory.csv")
+    assert content["only_one_hits"]["folder"] == trial.parent.name
+    assert "'team.cars:Brake'" in (trial.parent / "test_hit.py").read_text()
+    assert git(repository, "status", "--porcelain", "--branch") == before
+    assert len(git(repository, "worktree", "list").splitlines()) == 1
+    again = bisect(repository, "start", "notes", "--out", str(tmp_path / "again"), "--json")
+    tested = json.loads(again.stdout)["tested"]
+    judged = {one["why"] for one in tested if one["verdict"] != "skip"}
+    assert judged == {"has the content of a version that is judged"}
+
+
+@pytest.mark.parametrize(
+    ("commit", "code", "why"),
+    [
+        ("start", 0, "good, has the content"),
+        ("other-words", 0, "good, "),
+        ("more-words", 1, "bad, has the content"),
+        ("broken", 125, "skip, "),
+        ("stands", 125, "skip, "),
+    ],
+)
+def test_the_commit_that_is_checked_out_is_judged_for_git_bisect_run(repository, commit, code, why):
+    git(repository, "checkout", "-qf", commit)
+    done = bisect(repository, "start", "notes", "--here")
+    assert (done.returncode, why in done.stdout) == (code, True), done.stdout + done.stderr
+
+
+def test_what_cannot_be_bisected_ends_in_one_line(repository, tmp_path):
+    out = ("--out", str(tmp_path / "out"))
+    one_line(bisect(repository, "more-words", "notes", *out), 2, "have the same files")
+    one_line(bisect(repository, "start", "nowhere", *out), 2, "nowhere")
+    one_line(skd("bisect", "start", "notes", *out, "--", "--graph", cwd=repository), 2, "--graph")
+    one_line(skd("bisect", "start", "notes", *out, cwd=repository), 2, "--controller basic: give one of your own")
+    assert bisect(repository, "start", "nowhere", "--here").returncode == 128
+    assert "not shown to be worse" in bisect(repository, "worse", "mended", *out).stderr
