@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 from margin_variances import margins
-from skd_evaluator.assessment.objective_result import KamikazeSet
+from skd_evaluator.assessment.assessment import KamikazeSet
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets

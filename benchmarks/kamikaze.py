@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+from skd_adversary.adversary import warm_up_episodes
 from skd_adversary.pomdp.planner import Planner
-from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner

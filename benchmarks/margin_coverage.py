@@ -29,7 +29,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner, available_work
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
 from skd_evaluator.metrics.clustered import MARGINS, clustered_mean
-from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
+from skd_evaluator.metrics.margins import equivalent_multiplier
 from skd_evaluator.metrics.statistics import normal_interval
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.scenario import Scenario, load_scenario

@@ -38,7 +38,7 @@ from cars.catalogue import CARS, Car, available
 from contacts import Run
 from pair_orders import Pair, Share, agreed_pairs, ordered_share
 from ranking_figures import FIGURES, Found, Work
-from skd_adversary.warm_up import warm_up_episodes
+from skd_adversary.adversary import warm_up_episodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories

@@ -37,7 +37,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import clustered_mean
-from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
+from skd_evaluator.metrics.margins import EquivalentMultiplier, equivalent_multiplier
 from skd_sim.options.car_under_test import BASIC, DYNAMICS
 from skd_sim.scenario.scenario import Scenario, load_scenario
 

@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
-from skd_adversary.warm_up import any_car_models, warm_up_episodes
+from skd_adversary.adversary import any_car_models, warm_up_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.metrics.frechet import discrete_frechet

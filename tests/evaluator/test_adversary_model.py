@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_adversary.adversary import make_adversary, predicted_car
+from skd_adversary.adversary import any_car_models, make_adversary, predicted_car
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
-from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner

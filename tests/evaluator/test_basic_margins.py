@@ -23,7 +23,7 @@ from skd_evaluator.margin.basic_margins import (
     unknown_for,
     yardstick,
 )
-from skd_evaluator.metrics.equivalent_multiplier import MarginDifference
+from skd_evaluator.metrics.margins import MarginDifference
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import Trajectory
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.batches import Replay
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.run.episodes import Replay, run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.risk import crude_crossings
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories

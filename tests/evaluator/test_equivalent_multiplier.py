@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.optimize import brentq, isotonic_regression
-from skd_evaluator.metrics.equivalent_multiplier import (
+from skd_evaluator.metrics.margins import (
     difference,
     equivalent_entries,
     equivalent_multiplier,

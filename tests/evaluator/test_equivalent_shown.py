@@ -8,7 +8,7 @@ import re
 
 import pytest
 from report_support import edited
-from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.metrics.margins import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.summary import markdown

@@ -15,8 +15,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
-from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult
+from skd_evaluator.assessment.assessment import Assessment, KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.metrics.deviation import Hit

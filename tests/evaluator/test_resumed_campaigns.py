@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from skd_evaluator.extensions.campaign.campaign import CampaignFolder
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
-from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_sim.errors import UsageError
 
 SIZES = "safe_count: 1, kamikaze_count: 1, collision_runs: 1, simulations: 10, margin_limit: 0, behaviour: none"

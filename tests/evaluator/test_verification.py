@@ -17,12 +17,11 @@ from cli_support import one_line
 from edited_results import edit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from skd_evaluator.assessment.assessment import assessment_of
+from skd_evaluator.assessment.assessment import KamikazeSet, assessment_of
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.plan import Plan, runs_along
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner

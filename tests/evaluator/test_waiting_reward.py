@@ -8,9 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pytest
-from skd_adversary.adversary import predicted_car
+from skd_adversary.adversary import any_car_models, predicted_car
 from skd_adversary.car_models.car_model_file import FittedCar, car_model_text, fitted_car
-from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.stages.car_model import CHOICES, WAITING_TRIALS, with_waiting_reward
 from skd_evaluator.errors import AssessmentError

@@ -12,8 +12,7 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
-from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
-from skd_evaluator.metrics.margins import Margins
+from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins
 from skd_evaluator.ros.evaluator import assessment_to_message
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -19,7 +19,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers.loading import make_controller
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.simulators.framed_simulator import FramedSimulator
+from skd_sim.simulators.simulator import FramedSimulator
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState

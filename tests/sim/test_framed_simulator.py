@@ -10,8 +10,7 @@ import pytest
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road_user import Other
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.simulators.framed_simulator import FramedSimulator
-from skd_sim.simulators.simulator import Frame, Simulator, WorldSimulator
+from skd_sim.simulators.simulator import Frame, FramedSimulator, Simulator, WorldSimulator
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid

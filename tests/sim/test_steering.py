@@ -13,8 +13,7 @@ from skd_adversary.adversary import ReplayAdversary
 from skd_evaluator.assessment.episode_figures import ADVERSARY, ROAD_EDGE, collision_partner, lane_left, lanes_left
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.plausibility import ROUNDING, examine
-from skd_evaluator.assessment.run.batches import Replay, replayed
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.run.episodes import Replay, replayed, run_episode
 from skd_evaluator.assessment.stages.kamikazes import with_steering
 from skd_evaluator.metrics.contact_place import car_at_contact
 from skd_evaluator.metrics.deviation import hit_of

@@ -1,6 +1,6 @@
 """The package as installed. For `colcon test`; its node is tested with the others, in skd_evaluator."""
 
-from skd_adversary.warm_up import warm_up_episodes
+from skd_adversary.adversary import warm_up_episodes
 
 
 def test_an_episode_can_be_planned():

@@ -4,9 +4,9 @@ from skd_sim.errors import UsageError as UsageError
 from skd_sim.kernels.compilation import kernel as kernel
 from skd_sim.scenario.scenario import Scenario as Scenario
 from skd_sim.scenario.scenario import load_scenario as load_scenario
-from skd_sim.simulators.framed_simulator import FramedSimulator as FramedSimulator
-from skd_sim.simulators.framed_simulator import FrameSource as FrameSource
 from skd_sim.simulators.simulator import Frame as Frame
+from skd_sim.simulators.simulator import FramedSimulator as FramedSimulator
+from skd_sim.simulators.simulator import FrameSource as FrameSource
 from skd_sim.simulators.simulator import Simulator as Simulator
 from skd_sim.simulators.simulator import WorldSimulator as WorldSimulator
 from skd_sim.world.episode import EpisodeLog as EpisodeLog

@@ -28,8 +28,7 @@ from skd_sim.scenario.road import HEADING_NORTH, road_pose
 from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import CarState
 
-from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
-from skd_adversary.warm_up import warm_up_episodes
+from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary, warm_up_episodes
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from skd_sim.world.episode import counted_reasons
 from skd_evaluator.assessment.episode_figures import closing_speed, command_age, simulator_contacts, standing_contacts
 from skd_evaluator.metrics.clustered import Clustered
 from skd_evaluator.metrics.entry import Schema, or_null, ref
-from skd_evaluator.metrics.equivalent_multiplier import equivalent_entries
+from skd_evaluator.metrics.margins import equivalent_entries
 from skd_evaluator.metrics.statistics import Interval, wilson_interval
 from skd_evaluator.version import version
 

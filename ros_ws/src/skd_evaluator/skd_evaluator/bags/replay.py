@@ -12,9 +12,8 @@ from skd_sim.options.options import PLANNING, options_of, shared_options
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
+from skd_evaluator.assessment.assessment import Assessment, KamikazeSet, assessment_of, in_order
 from skd_evaluator.assessment.episode_figures import missed_periods, standing
-from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.options import RECORDED
 from skd_evaluator.assessment.plan import (
     TRIALS_PER_REQUESTED,

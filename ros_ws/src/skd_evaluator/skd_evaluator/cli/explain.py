@@ -15,8 +15,7 @@ from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
 from skd_evaluator import palette
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.margin.distinguishing_trial import DistinguishingTrial
-from skd_evaluator.report.drawing import save_picture
-from skd_evaluator.report.episode_pictures import ShownEpisode, save_episode
+from skd_evaluator.report.episode_pictures import ShownEpisode, save_episode, save_picture
 from skd_evaluator.report.repeat import SCENARIO_FILE, program
 
 TRAJECTORY_FILE = "trajectory.csv"

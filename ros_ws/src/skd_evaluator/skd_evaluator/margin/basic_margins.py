@@ -40,7 +40,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.actions import velocities, why_not_exact
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.metrics.equivalent_multiplier import (
+from skd_evaluator.metrics.margins import (
     EquivalentMultiplier,
     MarginDifference,
     difference,

@@ -4,6 +4,18 @@ Each trial, a safe trajectory φ and one set of draws, has a least deviation of 
 that way knows beforehand how the car will be noisy. So the mean says how much room there is, and not how often one
 is hit. A trial in which none can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`): the
 margin is the area above the curve of P(η), the share of trials whose margin is at most η.
+
+The equivalent multiplier: the C of the basic car that has the same margin on the same safe trajectories.
+
+The margin of the basic car rises with C. It is compared trial by trial, car less basic car: a trial is one φ and
+one set of draws, which both cars share, so most of the chance cancels. The mean difference falls as C rises, except for
+chance; so it is made monotone (isotonic regression, weighted by trials: Barlow et al. 1972), joined by straight
+lines, and C is where it passes 0.
+
+The interval holds every C at which the difference is not significant: the test is inverted, as in Fieller's
+interval for a ratio (Fieller, Journal of the Royal Statistical Society B 16, 1954). The test is that of two cars on the
+same φ, Student's with the cluster-robust error over φ (`clustered_mean`). So it speaks of all φ of this kind, and the
+second one, which takes φ as given and draws trials only, of these φ.
 """
 
 from __future__ import annotations
@@ -16,6 +28,8 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import scipy
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.metrics.clustered import MARGINS, Clustered, clustered_mean
@@ -219,3 +233,209 @@ def optimality_gap(
     items = means if len(above) > 1 else [above[0], below[0]]
     interval = ratio_interval(items[0], items[1], confidence) if math.isfinite(value) else None
     return value, interval
+
+
+@dataclass(frozen=True)
+class EquivalentMultiplier:
+    """C, or on which side of the multipliers that were compared it would lie.
+
+    Attributes:
+        value: C; minus or plus infinity below or above `lowest` or `highest`.
+        ci95: 95 % interval by φ: what other φ of this kind might have said; an end beyond is infinite. None with one φ.
+        ci95_trials: 95 % interval for these φ, over the draws of their trials; None where no φ has two.
+        lowest: the multiplier of which `below` is said.
+        highest: the multiplier of which `above` is said.
+    """
+
+    value: float
+    ci95: Interval | None
+    ci95_trials: Interval | None
+    lowest: float
+    highest: float
+
+    @property
+    def text(self) -> str:
+        """C as people read it: a number, `below 0.5` or `above 1.5`."""
+        return self._side(self.value) or f"{self.value:.3f}"
+
+    def interval_text(self, interval: Interval) -> str:
+        """Return an interval as people read it; an end beyond all multipliers is called `above` or `below`."""
+        return f"[{', '.join(self._side(end) or f'{end:.3f}' for end in interval)}]"
+
+    def _side(self, value: float) -> str:
+        if math.isfinite(value):
+            return ""
+        return f"above {self.highest:g}" if value > 0.0 else f"below {self.lowest:g}"
+
+
+def equivalent_entries(found: EquivalentMultiplier | None) -> dict[str, Any]:
+    """Return the entries of assessment.json; what lies beyond is null there, and the texts say where."""
+    name = "equivalent_multiplier"
+    if found is None:
+        ends = ("", "_text", "_ci95", "_ci95_these_phi", "_ci95_text", "_ci95_these_phi_text")
+        return dict.fromkeys(f"{name}{end}" for end in ends)
+    entries: dict[str, Any] = {name: _finite(found.value), f"{name}_text": found.text}
+    for key, interval in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_trials)):
+        entries[f"{name}_{key}"] = interval and [_finite(end) for end in interval]
+        entries[f"{name}_{key}_text"] = interval and found.interval_text(interval)
+    return entries
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class MarginDifference:
+    """How much more margin a car has than the basic car of one C.
+
+    Attributes:
+        mean: mean difference over all trials, m.
+        ci95: 95 % interval by φ, m; None with fewer than two φ.
+        ci95_trials: 95 % interval over the trials of these φ, m; None where no φ has two.
+        trials: how many trials both cars have.
+    """
+
+    mean: float
+    ci95: Interval | None
+    ci95_trials: Interval | None
+    trials: int
+
+
+def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> MarginDifference | None:
+    """Return the difference of two cars' margins, by trials that both have.
+
+    Args:
+        car: for each φ the margins of the car's trials, in the order of their numbers, m; nan: the trial says
+            nothing.
+        basic: the same for the basic car; it may have fewer trials.
+
+    Returns:
+        None without a trial in common.
+
+    Raises:
+        ValueError: they are not of equally many φ.
+    """
+    if len(car) != len(basic):
+        raise ValueError(f"the car has margins of {len(car)} φ, the basic car of {len(basic)}")
+    groups = []
+    for one, other in zip(car, basic, strict=True):
+        first, second = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+        common = min(len(first), len(second))
+        values = first[:common] - second[:common]
+        groups.append(values[~np.isnan(values)])
+    found = clustered_mean(groups)
+    if found is None:
+        return None
+    return MarginDifference(found.value, found.interval, _within(groups), found.values)
+
+
+def _within(groups: Sequence[FloatArray]) -> Interval | None:
+    """Return the interval of the mean over all values for these φ: only the trials on each are taken as a sample."""
+    filled = [one for one in groups if one.size]
+    total, spread = sum(one.size for one in filled), [one for one in filled if one.size > 1]
+    if not spread:
+        return None
+    freedom = sum(one.size - 1 for one in spread)
+    variances = [math.fsum((one - mean(one)) ** 2) / (one.size - 1) for one in spread]
+    typical = math.fsum(variances) / len(variances)  # of a φ with a single trial
+    known = math.fsum(variance * one.size for variance, one in zip(variances, spread, strict=True))
+    error = math.sqrt(known + typical * (len(filled) - len(spread))) / total
+    reach, centre = float(scipy.special.stdtrit(freedom, 0.975)) * error, mean(np.concatenate(filled))
+    return centre - reach, centre + reach
+
+
+def equivalent_multiplier(
+    car: Sequence[npt.ArrayLike], basic: Mapping[float, Sequence[npt.ArrayLike]]
+) -> EquivalentMultiplier:
+    """Return the multiplier of the basic car that has the margin of a car on these φ.
+
+    Args:
+        car: for each φ the margins of the car's trials, in the order of their numbers, m, at most η_max; nan: the
+            trial says nothing, because it was aborted, say.
+        basic: for at least two C the margins of the basic car in the same trials; it may have fewer of them.
+
+    Raises:
+        ValueError: fewer than two C, or one without a trial in common with the car.
+    """
+    grid = np.array(sorted(basic))
+    if grid.size < 2:
+        raise ValueError("margins of the basic car are needed for at least two multipliers")
+    found = []
+    for multiplier in grid.tolist():
+        one = difference(car, basic[multiplier])
+        if one is None:
+            raise ValueError(f"the basic car with C = {multiplier:g} has no trial in common with the car")
+        found.append(one)
+    counts = np.array([one.trials for one in found], dtype=np.float64)
+    rising = -np.array([one.mean for one in found])
+    value = _root(grid, isotonic_means((rising * counts)[None], counts[None])[0])
+    lowest, highest = float(grid[0]), float(grid[-1])
+    # Where the basic car's margin has reached the car's and stays there, all that is known is what it rose from.
+    if value == math.inf and (rising < 0.0).any():
+        highest = float(grid[rising < 0.0][-1])
+    if value == -math.inf and (rising > 0.0).any():
+        lowest = float(grid[rising > 0.0][0])
+    return EquivalentMultiplier(
+        value,
+        _inverted(grid, [one.ci95 for one in found], value),
+        _inverted(grid, [one.ci95_trials for one in found], value),
+        lowest,
+        highest,
+    )
+
+
+def isotonic_means(sums: FloatArray, counts: FloatArray) -> FloatArray:
+    """Return the isotonic regression of each row's means, weighted by counts, all rows at once.
+
+    f_i = max over j ≤ i of min over k ≥ i of the mean over j … k (Barlow et al. 1972, section 1.2).
+
+    Args:
+        sums: sum of the values at each place, rows × columns.
+        counts: the weights, in the same shape, positive.
+    """
+    columns = sums.shape[1]
+    start = np.zeros((len(sums), 1))
+    below = np.hstack([start, np.cumsum(sums, axis=1)])
+    weight = np.hstack([start, np.cumsum(counts, axis=1)])
+    fitted = np.full(sums.shape, -math.inf)
+    for first in range(columns):
+        means = (below[:, first + 1 :] - below[:, [first]]) / (weight[:, first + 1 :] - weight[:, [first]])
+        least = np.minimum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
+        np.maximum(fitted[:, first:], least, out=fitted[:, first:])
+    return fitted
+
+
+def _root(grid: FloatArray, rising: FloatArray) -> float:
+    """Return where a rising polyline passes 0, in the middle where it stays there; infinite where it does not.
+
+    Where it ends at 0 on either side, what lies beyond might be as good: that is infinite as well.
+    """
+    if rising[-1] <= 0.0:
+        return math.inf
+    if rising[0] >= 0.0:
+        return -math.inf
+    left, right = int(np.flatnonzero(rising < 0.0)[-1]), int(np.flatnonzero(rising > 0.0)[0])
+    if right > left + 1:  # it is 0 in between
+        return float(0.5 * (grid[left + 1] + grid[right - 1]))
+    return _crossing(grid, rising, left)
+
+
+def _inverted(grid: FloatArray, intervals: Sequence[Interval | None], value: float) -> Interval | None:
+    """Return the C whose interval of the difference holds 0, from the first to the last of them, and the value."""
+    if any(one is None for one in intervals):
+        return None
+    ends = np.array(intervals, dtype=np.float64)  # of the difference, which falls with C
+    below = np.flatnonzero(ends[:, 0] <= 0.0)
+    above = np.flatnonzero(ends[:, 1] >= 0.0)
+    low = math.inf if not below.size else -math.inf if below[0] == 0 else _crossing(grid, ends[:, 0], int(below[0]) - 1)
+    high = -math.inf if not above.size else math.inf
+    if above.size and above[-1] < grid.size - 1:
+        high = _crossing(grid, ends[:, 1], int(above[-1]))
+    return min(low, value), max(high, value)
+
+
+def _crossing(grid: FloatArray, ends: FloatArray, left: int) -> float:
+    """Return where the line from a point to the next passes 0."""
+    share = ends[left] / (ends[left] - ends[left + 1])
+    return float(grid[left] + share * (grid[left + 1] - grid[left]))

@@ -19,11 +19,10 @@ from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator import palette
-from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import ObjectiveResult
+from skd_evaluator.assessment.assessment import Assessment, ObjectiveResult
 from skd_evaluator.metrics.contact_place import last_car_position, last_pose, outline_of
 from skd_evaluator.metrics.statistics import mean
-from skd_evaluator.report.drawing import (
+from skd_evaluator.report.episode_pictures import (
     PAGE,
     TYPE,
     draw_before,

@@ -8,10 +8,9 @@ from pathlib import Path
 
 from skd_sim.world.episode import EpisodeLog, Outcome
 
-from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.assessment import Assessment, ObjectiveResult
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import episode_summary, write_assessment
-from skd_evaluator.assessment.objective_result import ObjectiveResult
 from skd_evaluator.assessment.run.workers import available_workers, in_background
 
 

@@ -25,7 +25,7 @@ from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelle
 from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner
 from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
-from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_batched
+from skd_evaluator.assessment.run.episodes import answers_batches, replayed, why_not_batched
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.metrics.behaviour.model import walk, walked
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight

@@ -5,6 +5,8 @@ participant with it, and that may hang for ever in the middleware, in a loop tha
 (eProsima/Fast-DDS issue 6513). So a domain's context stays, with a node that keeps its participant, and a graph's own
 nodes go when the next one of this process begins there. Python's own end takes down all that is left, within a bound
 (`skd_sim.start`).
+
+In a drive through the graph a user at the keys is the adversary, a node of this process, and sees it all (`Watched`).
 """
 
 from __future__ import annotations
@@ -14,19 +16,24 @@ import os
 import random
 import socket
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 
 import rclpy
 from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from skd_adversary.adversary import make_adversary
+from skd_adversary.ros.adversary_node import AdversaryNode
 from skd_sim.errors import UsageError
 from skd_sim.ros.commands import car_commands
-from skd_sim.world.episode import counts_in_words
+from skd_sim.ros.support import spin
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, counts_in_words
 
 from skd_evaluator.assessment.options import RESTART, managed_nodes
+from skd_evaluator.driving.drive import Drive, HandFor, LeftError, Show, Wish
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import (
     ADVERSARY,
@@ -198,3 +205,67 @@ def end_contexts() -> None:
         for node in reversed(nodes):
             node.destroy_node()
         rclpy.try_shutdown(context=context)
+
+
+_FAREWELL = 2.0  # s for the node's thread to end
+
+
+class Watched:
+    """What a graph needs so that a user can watch and take part.
+
+    Attributes:
+        show: called with each situation.
+    """
+
+    def __init__(self, hand_for: HandFor, show: Show, look: Callable[[], Wish]) -> None:
+        """Prepare.
+
+        Args:
+            hand_for: gives who moves the adversary.
+            show: called with each situation.
+            look: says what the user wishes.
+        """
+        self._hand_for, self.show, self._look = hand_for, show, look
+        self._evaluator: Evaluator | None = None
+
+    @contextmanager
+    def adversary(self, context: Context) -> Iterator[Node]:
+        """Run the adversary's node in a context, in a thread, as long as this lasts, and yield it."""
+        node = AdversaryNode(make=lambda one: self._hand_for(one) or make_adversary(one), context=context)
+        over = threading.Event()
+
+        def run() -> None:
+            with suppress(ExternalShutdownException):
+                spin(node, over.is_set)
+
+        thread = threading.Thread(target=run, name="skd-drive", daemon=True)
+        thread.start()
+        try:
+            yield node
+        finally:
+            over.set()
+            thread.join(_FAREWELL)
+
+    def check(self) -> None:
+        """Do what the user wishes; to be called while the evaluator waits.
+
+        Raises:
+            LeftError: the user has seen enough.
+        """
+        wish = self._look()
+        if wish is Wish.QUIT:
+            raise LeftError
+        if wish is Wish.AGAIN and self._evaluator is not None:
+            self._evaluator.give_up("the user began anew")
+
+    def driver(self, evaluator: Evaluator) -> Drive:
+        """Return what runs an episode of an evaluator's graph."""
+        self._evaluator = evaluator
+
+        def drive(episode: EpisodeSpec) -> EpisodeLog:
+            log = evaluator.run_episode(episode)
+            if self._look() is not Wish.NONE:
+                raise LeftError
+            return log
+
+        return drive

@@ -24,8 +24,8 @@ from skd_evaluator.assessment.stages.pipeline import run_stages
 from skd_evaluator.ros.processes import GraphSetting
 
 if TYPE_CHECKING:
-    from skd_evaluator.ros.driving import Watched
     from skd_evaluator.ros.evaluator import Evaluator
+    from skd_evaluator.ros.graph import Watched
 
 
 def prepare_ros(options: GraphOptions) -> None:

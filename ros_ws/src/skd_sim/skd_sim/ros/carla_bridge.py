@@ -43,8 +43,7 @@ from skd_sim.simulators.carla import (
     walker_control,
     walks,
 )
-from skd_sim.simulators.framed_simulator import FramedSimulator, States
-from skd_sim.simulators.simulator import SimulatorError
+from skd_sim.simulators.simulator import FramedSimulator, SimulatorError, States
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid

@@ -23,8 +23,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, until_contact
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import ObjectiveResult
+from skd_evaluator.assessment.assessment import Assessment, ObjectiveResult
 from skd_evaluator.assessment.plan import EpisodeGroup, episode_id, split_episode_id
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.deviation import Hit, deviation_pairs

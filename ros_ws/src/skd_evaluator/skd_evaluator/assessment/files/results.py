@@ -20,13 +20,12 @@ from skd_sim.start import installing
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, assessment_of
+from skd_evaluator.assessment.assessment import CONFIDENCE, Assessment, KamikazeSet, ObjectiveResult, assessment_of
 from skd_evaluator.assessment.episode_figures import SURROGATES, command_age
 from skd_evaluator.assessment.figure_table import figures_html
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, write_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged, write_json
-from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import Excess, Margins, Search

@@ -1,32 +1,60 @@
-"""The closed loop in process: car, adversary and simulator in one plain loop."""
+"""The closed loop in process: car, adversary and simulator in one plain loop.
+
+Replays, in which the adversary follows a trajectory, also run side by side: a policy answers for all together. The
+worlds are compiled, and the same to the bit as those of whole episodes. When all is over, the single form of the
+policy is asked as well: in every control period of some episodes, by a controller of each one's own, and in one control
+period of each of the others. Where `command` answers otherwise than `commands` did, they are not the same car, and
+nothing is made of either.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
-from skd_sim.arrays import FloatArray
-from skd_sim.controllers.loading import make_controller
-from skd_sim.controllers.protocol import Controller, is_sensing, require_control_period, require_sensor, sight_of
-from skd_sim.options.car_under_test import is_own_world
+from skd_adversary.crossing.path import path_velocities
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.controllers.isolated import isolated
+from skd_sim.controllers.loading import UserController, make_controller
+from skd_sim.controllers.protocol import (
+    Controller,
+    control_period_of,
+    is_sensing,
+    require_control_period,
+    require_sensor,
+    sight_of,
+    takes_batches,
+    takes_scene,
+)
+from skd_sim.inputs.yaml_file import short
+from skd_sim.kernels.compilation import kernel
+from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
+from skd_sim.scenario.road import HEADING_NORTH, beyond, is_straight_north
 from skd_sim.simulators.simulator import NamedSimulator, Simulator, SimulatorError, require_others
-from skd_sim.world.dynamics.basic import Command, as_pair
+from skd_sim.world.contact import sweep
+from skd_sim.world.dynamics.basic import STEERING_LIMIT, Command, as_pair, command_limits, drive, wheels
 from skd_sim.world.episode import (
     AbortKind,
     EpisodeLog,
     EpisodeSpec,
     Mode,
     Outcome,
+    Role,
     abort_reason,
     controller_generator,
     controller_seed,
+    generator,
 )
 from skd_sim.world.sensors import make_laser
+from skd_sim.world.state import AdversaryState, CarState, Scene
+from skd_sim.world.world import first_car_state
 
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.errors import AssessmentError
 
 
 def run_episode(
@@ -113,3 +141,323 @@ def _belief(believed: Sequence[BelievedCar], states: int) -> FloatArray | None:
         return None
     unknown = (math.nan,) * len(believed[0])
     return np.array([*believed, *[unknown] * (states - len(believed))])
+
+
+ONE_IN: Final = 50
+"""Of so many episodes side by side one is asked by the single form from its beginning to its end."""
+TOLERANCE: Final = 1e-4
+"""m/s² or rad by which both forms may differ: what sums of single precision in another order come to."""
+
+
+class _Request(NamedTuple):
+    """What `commands` was asked in a control period of a tick, and answered.
+
+    Attributes:
+        tick: number of the tick.
+        rows: which episodes go on, m.
+        states: of their cars and adversaries, 9 × m, as `UserController.commands` has them.
+        commands: accelerations (m/s²) and steering angles (rad), m × 2.
+    """
+
+    tick: int
+    rows: IntArray
+    states: FloatArray
+    commands: FloatArray
+
+
+class _Numbers(NamedTuple):
+    """A scenario in numbers."""
+
+    footprint: tuple[float, float, float]
+    radius: float
+    time_step: float
+    periods: int
+    least: float  # acceleration that can be commanded, m/s²
+    greatest: float
+    axles: tuple[float, float]
+    line: FloatArray
+    edges: tuple[float, float]
+    minimum_impact_speed: float
+
+
+def why_not_batched(episode: EpisodeSpec) -> str:
+    """Return why episodes like this one are run one by one, in a few words; empty where they need not be."""
+    scenario = episode.scenario
+    if not is_own_world(episode.simulator):
+        return "it is not SKD's own world"
+    if not DYNAMICS[scenario.car.dynamics].known:
+        return f"car.dynamics is {scenario.car.dynamics}"
+    if not is_straight_north(scenario.road.line):
+        return "the road has curves"
+    if scenario.adversary.is_box or scenario.others:
+        return "the adversary is a box, or there are others"
+    return ""
+
+
+CAR, USER, ORIGIN, SHARE, IMPACT, ANGLE = slice(0, 4), slice(4, 9), slice(9, 11), 11, 12, 13
+"""Where in the 14 numbers of an episode's state are: car and adversary (as `CarState` and `AdversaryState`), where the
+adversary was when the tick began, share of the tick and speed at the contact (infinity and nan without one), and the
+steering angle, rad."""
+
+
+@kernel
+def _advance(
+    numbers: _Numbers,
+    tick: int,
+    period: int,
+    command: tuple[float, float],
+    velocities: FloatArray,
+    noise: FloatArray,
+    state: FloatArray,
+) -> None:
+    """Advance an episode by a control period, or, with a contact, to the end of the tick: none decides after it."""
+    footprint, shape = numbers.footprint, (numbers.radius, 0.0, 0.0)
+    step, periods = numbers.time_step, numbers.periods
+    acceleration = min(numbers.greatest, max(numbers.least, command[0]))
+    held = acceleration, min(STEERING_LIMIT, max(-STEERING_LIMIT, command[1]))
+    vx, vy = velocities[tick, 0], velocities[tick, 1]
+    if period == 0:
+        state[9], state[10] = state[4], state[5]
+    x, y = state[9], state[10]
+    draws, duration = (noise[tick, 0] / periods, noise[tick, 1]), step / periods
+    path, state[13] = drive((state[0], state[1], state[2], state[3]), state[13], held, draws, duration, numbers.axles)
+    state[0:4] = path[-1]
+    end = (x + step * vx, y + step * vy)
+    share, impact = sweep(path, (x, y), end, (vx, vy), 0.0, footprint, shape, step, period, periods)
+    contact = share <= 1.0 and impact >= numbers.minimum_impact_speed
+    if path.shape[0] > 2 or path[0, 2] != HEADING_NORTH:
+        row = beyond(numbers.line, numbers.edges, footprint, path)
+        left = (period + row / (path.shape[0] - 1)) / periods
+        if row >= 0 and path[row, 3] >= numbers.minimum_impact_speed and not (contact and share <= left):
+            contact, share, impact = True, left, path[row, 3]
+    state[6], state[7], state[8] = vx, vy, 0.0
+    if contact or period == periods - 1:
+        state[4], state[5] = end
+    else:
+        passed = step * (period + 1) / periods
+        state[4], state[5] = x + passed * vx, y + passed * vy
+    if contact:
+        state[11], state[12] = share, impact
+        for _ in range(period + 1, periods):
+            car = state[0], state[1], state[2], state[3]
+            path, state[13] = drive(car, state[13], held, draws, duration, numbers.axles)
+            state[0:4] = path[-1]
+
+
+@kernel
+def _advance_all(
+    numbers: _Numbers,
+    tick: int,
+    period: int,
+    rows: IntArray,
+    commands: FloatArray,
+    velocities: FloatArray,
+    noise: FloatArray,
+    states: FloatArray,
+) -> None:
+    """Advance some of the episodes by a control period."""
+    for at in range(rows.shape[0]):
+        row = rows[at]
+        _advance(numbers, tick, period, (commands[at, 0], commands[at, 1]), velocities[row], noise[row], states[row])
+
+
+class Replay:
+    """Runs replays of one trial one after the other: the logs are those of whole episodes, to the bit."""
+
+    def __init__(self, episode: EpisodeSpec) -> None:
+        """Draw what all of them have in common; see `why_not_batched`."""
+        scenario = episode.scenario
+        self._numbers, self._noise = _numbers(episode), _noise(episode, scenario.ticks)
+        self._begin = _first_state(episode)
+        self._seed = controller_seed(episode.seed, episode.episode_id)
+
+    def run(self, episode: EpisodeSpec, controller: Controller) -> EpisodeLog:
+        """Run one that differs from the first in its trajectory alone.
+
+        Raises:
+            AssessmentError: the controller fails.
+        """
+        scenario, path = episode.scenario, episode.safe_trajectory
+        assert path is not None
+        ticks, periods = min(scenario.ticks, len(path) - 1), scenario.control_periods
+        velocities = path_velocities(path.positions, ticks, scenario.time_step)
+        state, noise, numbers = self._begin.copy(), self._noise, self._numbers
+        controller.reset(episode.public_scenario, controller_generator(self._seed))
+        command, sees_scene = controller.command, takes_scene(controller)
+        found = np.empty((ticks + 1, len(state)))
+        found[0] = state
+        for tick in range(ticks):
+            for period in range(periods):
+                now = state.tolist()
+                car, user = CarState(*now[CAR]), AdversaryState(*now[USER])
+                seen: Any = Scene(car, user) if sees_scene else user
+                _advance(numbers, tick, period, as_pair(command(car, seen)), velocities, noise, state)
+                if state[SHARE] <= 1.0:
+                    break
+            found[tick + 1] = state
+            if state[SHARE] <= 1.0:
+                return _log(episode, found[: tick + 2])
+        return _log(episode, found)
+
+
+def _log(episode: EpisodeSpec, states: FloatArray) -> EpisodeLog:
+    share, impact = states[-1, SHARE:ANGLE].tolist()
+    collided = share <= 1.0
+    time = (len(states) - 2 + share) * episode.scenario.time_step if collided else math.nan
+    assert episode.safe_trajectory is not None
+    arrived = len(states) >= len(episode.safe_trajectory)
+    outcome = Outcome.COLLISION if collided else Outcome.ARRIVED if arrived else Outcome.TIMEOUT
+    return EpisodeLog(episode, outcome, states[:, 4:6], states[:, CAR].copy(), time, impact)
+
+
+def answers_batches(car: CarUnderTest) -> bool:
+    """Tell whether a user's controller answers many episodes at once.
+
+    Raises:
+        UsageError: it cannot be loaded.
+    """
+    return isolated(car.user_code, _answers_batches, car)
+
+
+def _answers_batches(car: CarUnderTest) -> bool:
+    return takes_batches(make_controller(car.controller))
+
+
+def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
+    """Return the logs of episodes in which the adversary follows a trajectory, all of one car, side by side.
+
+    Args:
+        episodes: replays, of scenarios that differ in the start distance alone; see `why_not_batched`. One
+            controller, which takes batches, answers all of them: it is reset once, as the first of them has it.
+
+    Raises:
+        AssessmentError: the controller fails, or its two forms differ.
+    """
+    first = episodes[0]
+    assert first.mode == Mode.REPLAY, first.mode
+    assert not why_not_batched(first), why_not_batched(first)
+    policy = _made(first)
+    requests: list[_Request] = []
+    numbers, scenario, count = _numbers(first), first.scenario, len(episodes)
+    limit = scenario.ticks
+    ends = np.array([min(limit, len(one.safe_trajectory or ()) - 1) for one in episodes], np.int64)
+    most = int(ends.max())
+    velocities, noise = np.zeros((count, most, 2)), np.zeros((count, most, 2))
+    states = np.array([_first_state(one) for one in episodes])
+    for row, one in enumerate(episodes):
+        assert one.safe_trajectory is not None
+        velocities[row] = path_velocities(one.safe_trajectory.positions, most, scenario.time_step)
+        noise[row] = _noise(one, most)
+    found = np.empty((count, most + 1, states.shape[1]))
+    found[:, 0] = states
+    last = ends.copy()
+    for tick in range(most):
+        rows = np.flatnonzero((states[:, SHARE] > 1.0) & (ends > tick))
+        if not rows.size:
+            break
+        for period in range(numbers.periods):
+            requested = rows if period == 0 else rows[states[rows, SHARE] > 1.0]
+            if not requested.size:
+                break
+            seen = np.ascontiguousarray(states[requested, : USER.stop].T)
+            commands = policy.commands(seen)
+            requests.append(_Request(tick, requested, seen, commands))
+            _advance_all(numbers, tick, period, requested, commands, velocities, noise, states)
+        found[rows, tick + 1] = states[rows]
+        last[rows[states[rows, SHARE] <= 1.0]] = tick + 1
+    _confirm(episodes, requests)
+    return [_log(one, found[row, : last[row] + 1]) for row, one in enumerate(episodes)]
+
+
+def _first_state(episode: EpisodeSpec) -> FloatArray:
+    start = generator(episode.seed, episode.episode_id, Role.START)
+    car = first_car_state(episode.scenario, episode.start_gap, start)
+    user = episode.scenario.adversary.first_state(*episode.start)
+    return np.array([*car, *user, *user[:2], math.inf, math.nan, 0.0])
+
+
+def _noise(episode: EpisodeSpec, ticks: int) -> FloatArray:
+    """Return what the car's noise is, relative, of speed and acceleration, ticks × 2."""
+    car = episode.scenario.car
+    draws = generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2))
+    return np.multiply((car.speed_noise, car.acceleration_noise), 2.0 * draws - 1.0)
+
+
+def _numbers(episode: EpisodeSpec) -> _Numbers:
+    scenario = episode.scenario
+    car, limits = scenario.car, command_limits(scenario)
+    return _Numbers(
+        (car.front, car.rear, car.half_width),
+        scenario.adversary.reach,
+        scenario.time_step,
+        scenario.control_periods,
+        limits.least,
+        limits.greatest,
+        wheels(car),
+        scenario.road.line,
+        scenario.road.edges,
+        scenario.collision.minimum_impact_speed,
+    )
+
+
+def _made(episode: EpisodeSpec) -> UserController:
+    controller = make_controller(episode.controller)
+    assert isinstance(controller, UserController)
+    period = control_period_of(controller, episode.controller)
+    assert period is None or abs(period - episode.scenario.control_duration) <= 1e-9
+    controller.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
+    return controller
+
+
+def _confirm(episodes: Sequence[EpisodeSpec], requests: Sequence[_Request]) -> None:
+    """Ask the single form what `commands` was asked: some episodes as a whole, and then each once.
+
+    Raises:
+        AssessmentError: it answers otherwise.
+    """
+    rng = generator(episodes[0].seed, episodes[0].episode_id, Role.ORDER, len(episodes))
+    for row in sorted(rng.permutation(len(episodes))[: -(-len(episodes) // ONE_IN)].tolist()):
+        single = _made(episodes[row])
+        for requested in requests:
+            for at in np.flatnonzero(requested.rows == row).tolist():
+                _compare(single, episodes[row], requested, at)
+    single = _made(episodes[0])
+    moments = _moments(requests, len(episodes), rng)
+    for row in rng.permutation(len(episodes)).tolist():
+        number, at = moments[row].tolist()
+        _compare(single, episodes[row], requests[number], at)
+
+
+def _moments(requests: Sequence[_Request], count: int, rng: np.random.Generator) -> IntArray:
+    """Return a control period of each episode by lot, count × 2: its number, and the episode's place in it.
+
+    They are drawn of those in which the car moves towards a road user ahead of it, where there are any: what it does
+    there decides what becomes of the episode.
+    """
+    chosen, least = np.zeros((count, 2), np.int64), np.full(count, np.inf)
+    for number, requested in enumerate(requests):
+        moves_towards = (requested.states[3] > 0.0) & (requested.states[5] > requested.states[1])
+        draws = rng.random(len(requested.rows)) + ~moves_towards
+        better = np.flatnonzero(draws < least[requested.rows])
+        rows = requested.rows[better]
+        least[rows] = draws[better]
+        chosen[rows, 0], chosen[rows, 1] = number, better
+    return chosen
+
+
+def _compare(single: UserController, episode: EpisodeSpec, requested: _Request, at: int) -> None:
+    """Ask the single form in one state.
+
+    Raises:
+        AssessmentError: it answers otherwise than `commands` did.
+    """
+    numbers = requested.states[:, at].tolist()
+    car, user = CarState(*numbers[:4]), AdversaryState(*numbers[4:])
+    seen = Scene(car, user) if single.takes_scene else user
+    alone, together = as_pair(single.command(car, seen)), tuple(requested.commands[at].tolist())  # type: ignore[arg-type]
+    if not math.dist(alone, together) <= TOLERANCE:
+        raise AssessmentError(
+            f"controller {episode.controller}: commands answers {short(together)} where command answers "
+            f"{short(alone)} (tick {requested.tick} of episode {episode.episode_id}): both have to be the same car, "
+            "without a memory of its own; mend commands, or leave it out"
+        )

@@ -11,10 +11,9 @@ from dataclasses import replace
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, in_order, objective_results
+from skd_evaluator.assessment.assessment import Assessment, KamikazeSet, ObjectiveResult, in_order, objective_results
 from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent, stage
 from skd_evaluator.assessment.episode_figures import steers
-from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, runs_along
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.measures import load_measures

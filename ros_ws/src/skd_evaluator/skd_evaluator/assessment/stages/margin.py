@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import numpy as np
-from skd_adversary.warm_up import warm_up_episodes
+from skd_adversary.adversary import warm_up_episodes
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import is_kept
 from skd_sim.options.car_under_test import is_own_world
@@ -32,9 +32,8 @@ from skd_evaluator.margin.search.rounds import SAME, by_episodes, confirmed, in_
 from skd_evaluator.margin.search.search import HELD_COMMANDS, IN_PROCESS, WHOLE_EPISODES, Effort, search_margins
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
-from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.frechet import discrete_frechet
-from skd_evaluator.metrics.margins import Margins, Search
+from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins, Search
 
 LABEL = "margin"
 WHOLE_EPISODE_TRIALS = 5

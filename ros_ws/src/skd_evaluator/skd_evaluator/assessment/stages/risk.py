@@ -109,7 +109,7 @@ def warm_up_risk(plan: Plan) -> None:
     """Compile what crossings of a known car need, before it is timed or forked."""
     if not _has_exact_margin(plan):
         return
-    from skd_adversary.warm_up import warm_up_episodes
+    from skd_adversary.adversary import warm_up_episodes
     from skd_sim.world.episode import Mode
 
     episode = next(one for one in warm_up_episodes() if one.mode == Mode.KAMIKAZE)

@@ -197,7 +197,7 @@ def _driving(
     if not episodes.graph:
         yield driving_in_process(plan.car, options.rate_factor, hand_for, show, controls.look)
         return
-    from skd_evaluator.ros.driving import Watched  # only here: ROS may be added by `prepare_ros`
+    from skd_evaluator.ros.graph import Watched  # only here: ROS may be added by `prepare_ros`
 
     watched = Watched(hand_for, show, controls.look)
     with ResultFolder(default_folder("drive")).scratch() as scratch:

@@ -54,10 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
     from skd_evaluator.errors import OutOfReachError
-    from skd_evaluator.extensions.campaign.campaign import Campaign
+    from skd_evaluator.extensions.campaign.campaign import Campaign, CampaignFolder
     from skd_evaluator.extensions.campaign.campaign_file import read_campaign
     from skd_evaluator.extensions.campaign.cells import make_cells
-    from skd_evaluator.extensions.campaign.folder import CampaignFolder
 
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")

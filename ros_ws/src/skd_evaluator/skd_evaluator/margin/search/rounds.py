@@ -11,8 +11,7 @@ from skd_sim.controllers.protocol import Controller, is_sensing, takes_batches
 from skd_sim.world.episode import EpisodeSpec, Outcome
 
 from skd_evaluator.assessment.context import Progress, Runner
-from skd_evaluator.assessment.run.batches import Replay, replayed, why_not_batched
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.run.episodes import Replay, replayed, run_episode, why_not_batched
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.search.group import Drive, Group, search
 from skd_evaluator.margin.search.search import Rounds, SearchedMargins

@@ -37,8 +37,7 @@ from skd_evaluator.report.formats import (
     surrogate_groups,
 )
 from skd_evaluator.report.html import figures
-from skd_evaluator.report.html.episodes import episode_data, margin_hits, pack, scene, worst_first
-from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.html.subjects import Subject, episode_data, margin_hits, pack, scene, worst_first
 from skd_evaluator.report.html.template import SECTIONS, filled
 from skd_evaluator.report.repeat import (
     BEHAVIOUR_FILE,

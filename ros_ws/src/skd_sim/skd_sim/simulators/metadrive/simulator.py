@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.framed_simulator import FramedSimulator
 from skd_sim.simulators.metadrive.pedals import VERSION, require_metadrive
-from skd_sim.simulators.simulator import Frame
+from skd_sim.simulators.simulator import Frame, FramedSimulator
 from skd_sim.world.episode import EpisodeSpec
 
 

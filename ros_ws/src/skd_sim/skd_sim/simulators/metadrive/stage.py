@@ -23,10 +23,9 @@ from panda3d.core import Vec3
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH, SAME, Road
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.framed_simulator import States
 from skd_sim.simulators.metadrive.pedals import FULL_SPEED, LEAST_SPEED, MeasuredPedal, Pedals
 from skd_sim.simulators.metadrive.vehicle import Cast, Placed, VehicleSpec
-from skd_sim.simulators.simulator import SimulatorError
+from skd_sim.simulators.simulator import SimulatorError, States
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid, velocity_on_grid
