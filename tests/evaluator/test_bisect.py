@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_support import one_line, skd
+from skd_evaluator import load_result
 from skd_evaluator.margin.paired_test import ERROR, SCALE, e_values, level_of
 
 CAR = '''
@@ -133,3 +134,20 @@ def test_what_cannot_be_bisected_ends_in_one_line(repository, tmp_path):
     one_line(skd("bisect", "start", "notes", *out, cwd=repository), 2, "--controller basic: give one of your own")
     assert bisect(repository, "start", "nowhere", "--here").returncode == 128
     assert "not shown to be worse" in bisect(repository, "worse", "mended", *out).stderr
+
+
+def test_two_revisions_are_rated_with_the_same_options_and_compared(repository, tmp_path):
+    git(repository, "checkout", "-qf", "notes")
+    small = ("--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "1", "--margin-limit", "8")
+    small += ("--behaviour", "none", "--adversary-model", "generic")
+    out, path = tmp_path / "out", f"{repository}/src:{repository}/lib"
+    words = ("compare", "--rev", "mended", "worse", "--explain", "--no-pictures", "--json", "--out", str(out))
+    done = skd(*words, *OPTIONS, *small, cwd=repository, PYTHONPATH=path)
+    assert done.returncode == 0, done.stderr
+    content = json.loads(done.stdout)
+    margins = {row["car"]: row["margin"] for row in content["rows"]}
+    assert margins["Brake-worse"] < margins["Brake-mended"]
+    assert {load_result(row["folder"]).figures["car"] for row in content["rows"]} == set(margins)
+    trials = {one["hits"]: one["folder"] for one in content["only_one_hits"]}
+    assert "'team.cars:Brake'" in (out / trials["Brake-worse"] / "test_hit.py").read_text()
+    one_line(skd("compare", str(out), "--rev", "mended", "worse", *OPTIONS, cwd=repository), 2, "leave out the folders")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import os
 import re
@@ -9,14 +10,20 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterator
+import warnings
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.machinery import PathFinder
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest, is_own_world
+from skd_sim.options.options import options_of
 from skd_sim.options.registry import CHECKOUTS
+
+from skd_evaluator.assessment.context import Progress
+from skd_evaluator.assessment.options import AssessmentOptions, CampaignOptions
+from skd_evaluator.cli.parser import make_parser, parse
 
 _NOT_CODE = (".md", ".rst")
 
@@ -139,6 +146,47 @@ class Repository:
                 return re.findall(r"^[0-9a-f]{40,}$", said, re.MULTILINE)
             word = judge(self.git("rev-parse", "BISECT_HEAD", folder=place))
             said = self.git("bisect", word, folder=place, fine=(0, 2))
+
+    @contextmanager
+    def assessed(
+        self, revisions: Sequence[str], request: argparse.Namespace, progress: Progress
+    ) -> Iterator[list[Path]]:
+        """Rate the car of some revisions, and yield the folders of the results, which can be run until this ends.
+
+        Args:
+            revisions: in git's words.
+            request: options of `skd assess`.
+            progress: called with how far the work is.
+
+        Raises:
+            UsageError: there is no such revision, or its car cannot be loaded.
+            AssessmentError: it fails.
+        """
+        from skd_evaluator.library import assess
+
+        options = {one.name for table in (CampaignOptions, AssessmentOptions) for one in options_of(table)}
+        given = {name: value for name, value in vars(request).items() if name in options and value is not None}
+        with self.checkouts() as folder, warnings.catch_warnings(action="ignore"):  # they are part of the results
+            found = []
+            for revision in revisions:
+                given["controller"] = self.controller_at(self.commit(revision), folder)
+                given["name"] = re.sub(r"\W+", "-", f"{self.name}-{revision}")
+                found.append(folder / "results" / given["name"])
+                assess(scenario=request.scenario, out=found[-1], workers=request.workers, progress=progress, **given)
+            yield found
+
+
+def assess_request(words: Sequence[str]) -> argparse.Namespace:
+    """Return the options of `skd assess` that some words give, which may begin with its name.
+
+    Raises:
+        UsageError: one of them does not go with revisions.
+    """
+    given = [word for word in words if word not in ("skd", "assess")]
+    request = parse(make_parser(["assess"]), ["assess", *given])
+    if request.graph or not is_own_world(request.simulator):
+        raise UsageError("cars of revisions run in process and in SKD's own world: leave out --graph and --simulator")
+    return request
 
 
 def _file_of(module: str) -> Path | None:

@@ -65,7 +65,7 @@ def level_of(revisions: int) -> float:
     return (2 + math.ceil(math.log2(max(1, revisions)))) / ERROR
 
 
-class Verdict(NamedTuple):
+class Judgement(NamedTuple):
     """What was found of a revision.
 
     Attributes:
@@ -156,7 +156,7 @@ class PairedTest:
         for version, word in zip(self._ends, (GOOD, BAD), strict=True):
             self.known["verdicts"] |= {version.key: word, self._driven(version): word}
 
-    def verdict(self, key: str, make: Callable[[], Version]) -> Verdict:
+    def verdict(self, key: str, make: Callable[[], Version]) -> Judgement:
         """Return whether a version is worse than the good one.
 
         One that drives as an earlier one to the bit, along φ and wherever the good or the bad one hits, has its
@@ -168,16 +168,16 @@ class PairedTest:
         """
         verdicts = self.known["verdicts"]
         if word := verdicts.get(key):
-            return Verdict(word, "has the content of a version that is judged")
+            return Judgement(word, "has the content of a version that is judged")
         try:
             return self._found(make())
         except (UsageError, AssessmentError) as error:
-            return Verdict(SKIP, str(error))
+            return Judgement(SKIP, str(error))
 
-    def _found(self, version: Version) -> Verdict:
+    def _found(self, version: Version) -> Judgement:
         verdicts, driven = self.known["verdicts"], self._driven(version)
         if driven in verdicts:
-            found = Verdict(verdicts[driven], "drives as a version that is judged, to the bit")
+            found = Judgement(verdicts[driven], "drives as a version that is judged, to the bit")
         else:
             found = self._tested(version)
         verdicts |= {version.key: found.word, driven: found.word}
@@ -204,7 +204,7 @@ class PairedTest:
         car, other = (TestedCar(one.plan.car, one.plan.scenario, one.plan.seed, safe, hits) for one in (worse, before))
         return smallest_trial(car, other, self._runner, self._progress)
 
-    def _tested(self, version: Version) -> Verdict:
+    def _tested(self, version: Version) -> Judgement:
         good, bad = self._ends
         worse, better = np.empty(0), np.empty(0)
         for part in self._parts():
@@ -214,9 +214,9 @@ class PairedTest:
             if min(first) < part.stop:
                 after = f"after {min(first) + 1} trials"
                 if first[0] <= first[1]:
-                    return Verdict(BAD, f"worse than the good one, {after}")
-                return Verdict(GOOD, f"better than the bad one, {after}")
-        return Verdict(SKIP, f"neither worse than the good one nor better than the bad one in {len(worse)} trials")
+                    return Judgement(BAD, f"worse than the good one, {after}")
+                return Judgement(GOOD, f"better than the bad one, {after}")
+        return Judgement(SKIP, f"neither worse than the good one nor better than the bad one in {len(worse)} trials")
 
     def _parts(self) -> Iterator[slice]:
         count = len(self._ends[0].trials)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import is_own_world
 
 from skd_evaluator.assessment.options import OWN
 from skd_evaluator.cli.arguments import (
@@ -21,7 +20,7 @@ from skd_evaluator.cli.arguments import (
     runner_of,
 )
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import Parser, make_parser, parse
+from skd_evaluator.cli.parser import Parser
 from skd_evaluator.errors import AssessmentError
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from skd_evaluator.assessment.run.workers import Workers
     from skd_evaluator.cli.explain import Explanation
     from skd_evaluator.cli.revisions import Repository
-    from skd_evaluator.margin.paired_test import PairedTest, Verdict, Version
+    from skd_evaluator.margin.paired_test import Judgement, PairedTest, Version
 
 _DEFAULTS = ("--safe-count", "128", "--adversary-model", "generic")
 _EXIT_CODES = {"good": 0, "bad": 1, "skip": 125}
@@ -164,7 +163,7 @@ class _Bisection:
             raise AssessmentError(line)
         return Version(commit[:10], self.repository.content(commit), plan, self.safe)
 
-    def judge(self, commit: str) -> Verdict:
+    def judge(self, commit: str) -> Judgement:
         """Return whether the car of a commit is bad."""
         return self.test.verdict(self.repository.content(commit), lambda: self.version(commit))
 
@@ -191,11 +190,13 @@ def _opened(arguments: argparse.Namespace, progress: Progress) -> Iterator[_Bise
     from skd_evaluator.assessment.from_options import plan_of, scenario_for
     from skd_evaluator.assessment.stages.margin import warm_up_margins
     from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-    from skd_evaluator.cli.revisions import Repository
+    from skd_evaluator.cli.revisions import Repository, assess_request
     from skd_evaluator.margin.paired_test import PairedTest, level_of
     from skd_evaluator.provenance import environment
 
-    request = _request(arguments.words)
+    request = assess_request([*_DEFAULTS, *arguments.words])
+    if request.safe == OWN:
+        raise UsageError(f"--safe {OWN}: the trials have to be the same for all revisions; give another source")
     repository = Repository(request.controller)
     plan = plan_of(vars(request), scenario_for(request.scenario, request.safe))
     good, bad = map(repository.commit, (arguments.good, arguments.bad))
@@ -218,19 +219,3 @@ def _opened(arguments: argparse.Namespace, progress: Progress) -> Iterator[_Bise
         finally:
             file.parent.mkdir(exist_ok=True)
             test.write(file)
-
-
-def _request(words: Sequence[str]) -> argparse.Namespace:
-    """Return the options of `skd assess` in some words, which may begin with those two.
-
-    Raises:
-        UsageError: an option goes with other commands only.
-    """
-    first = next((place for place, word in enumerate(words) if word.startswith("-")), len(words))
-    words = ["assess", *_DEFAULTS, *words[first:]]
-    request = parse(make_parser(words), words)
-    if request.graph or not is_own_world(request.simulator):
-        raise UsageError("cars are run in process and in SKD's own world: leave out --graph and --simulator")
-    if request.safe == OWN:
-        raise UsageError(f"--safe {OWN}: the trials have to be the same for all revisions; give another source")
-    return request

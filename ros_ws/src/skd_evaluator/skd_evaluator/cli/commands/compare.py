@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import ControllerName
 
 from skd_evaluator.cli.arguments import (
     add_count,
@@ -37,11 +39,13 @@ def add(parser: Parser) -> None:
     risk: one of them has to differ, and none the other way. With --width or --difference it says how many safe
     trajectories φ a precision takes, by how much earlier results vary.
     """
-    parser.set_defaults(group="compare and gate")
+    parser.set_defaults(group="compare and gate", words=[])
     text = "folder of an assessment, a campaign, or one above some; the others are compared with the first"
     add_paths(parser, "paths", "DIR", text, nargs="*")
     text = "find the smallest trial in which only one of two cars hits, and write it as scenario, test and pictures"
     add_flag(parser, "--explain", text)
+    text = "rate the car of two git revisions and compare these; after -- follow options of skd assess"
+    add_value(parser, "--rev", text, nargs=2, metavar=("A", "B"), default=())
     add_flag(parser, "--no-pictures", rare("draw no pictures, which saves about half a second"))
     size = parser.add_argument_group("how many trajectories")
     goal = size.add_mutually_exclusive_group()
@@ -67,18 +71,42 @@ def run(arguments: argparse.Namespace) -> int:
         from skd_evaluator.cli import plan
 
         return plan.run(arguments)
-    from skd_evaluator.assessment.files.assessment_json import understood
-    from skd_evaluator.assessment.files.results import read_result, result_folders
+    from skd_evaluator.assessment.files.results import result_folders
 
-    folders = result_folders(arguments.paths)
+    if not arguments.rev:
+        return _compare(arguments, result_folders(arguments.paths))
+    from skd_evaluator.cli.revisions import Repository, assess_request
+    from skd_evaluator.report.progress import progress_bar
+
+    if arguments.paths:
+        raise UsageError("--rev rates two revisions: leave out the folders")
+    request = assess_request(arguments.words)
+    repository = Repository(request.controller)
+    with progress_bar(quiet=arguments.quiet) as progress:
+        rated = repository.assessed(arguments.rev, request, progress)
+        with rated as folders:
+            return _compare(arguments, folders, request.controller)
+
+
+def _compare(arguments: argparse.Namespace, folders: Sequence[Path], controller: str = "") -> int:
+    """Compare results.
+
+    Args:
+        arguments: of the command.
+        folders: at least two, or it is refused.
+        controller: what both cars are called where they are driven again; empty: what they are called in the results.
+    """
+    from skd_evaluator.assessment.files.assessment_json import understood
+    from skd_evaluator.assessment.files.results import read_result
+
     if len(folders) < 2:
         raise UsageError("give folders with at least two assessments")
     results = [read_result(path) for path in folders]
     with understood(Path("one of the results")):
-        return _run(arguments, results)
+        return _run(arguments, results, str(ControllerName(controller)))
 
 
-def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
+def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], controller: str) -> int:
     from skd_evaluator.assessment.compare.comparison import Comparison, compare, ranking_figure
     from skd_evaluator.assessment.figure_table import columns
     from skd_evaluator.assessment.files.result_folder import write_json
@@ -93,7 +121,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     rows = [
         {
             "car": name,
-            "folder": str(result.folder),
+            "folder": str(out.path / result.folder.name if arguments.rev else result.folder),
             **{key: result.figures.get(key) for key in columns("compare")},
             "warnings": not_credible(result.figures.get("warnings") or ()),
         }
@@ -108,7 +136,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             first, second, said = on_common_trajectories(results[0], other, progress)
             compared.append(compare(first, second, confidence))
             tried += said
-        found = explanations(results, names, progress) if arguments.explain else []
+        found = explanations(results, names, progress, controller) if arguments.explain else []
     entries = [
         {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
@@ -132,6 +160,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 
     def write(folder: Path) -> None:
         write_json(folder / "comparison.json", content)
+        for result in results if arguments.rev else ():
+            shutil.copytree(result.folder, folder / result.folder.name)
         for one in found:
             one.write(folder)
         if not arguments.pictures:
@@ -153,7 +183,9 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     return max(finish(arguments, content, place, warnings, [problem, *failed]), not read)
 
 
-def explanations(results: Sequence[StoredResult], names: Sequence[str], progress: Progress) -> list[Explanation]:
+def explanations(
+    results: Sequence[StoredResult], names: Sequence[str], progress: Progress, controller: str
+) -> list[Explanation]:
     """Return the smallest trials in which only one of the first car and another one hits, for each other car."""
     from skd_evaluator.cli.explain import Explanation
     from skd_evaluator.margin.distinguishing_trial import distinguishing_trials
@@ -161,7 +193,8 @@ def explanations(results: Sequence[StoredResult], names: Sequence[str], progress
     found = []
     for name, other in zip(names[1:], results[1:], strict=True):
         first_only, second_only = distinguishing_trials(results[0], other, progress)
-        found += [Explanation(names[0], name, first_only), Explanation(name, names[0], second_only)]
+        found += [Explanation(names[0], name, first_only, controller)]
+        found += [Explanation(name, names[0], second_only, controller)]
     return found
 
 
