@@ -1,7 +1,11 @@
+"""The crossing as a POMDP, composed of its parts, and the adversary that plans in it."""
+
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,17 +13,37 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from skd_adversary.adversary import PlanningAdversary, make_adversary
 from skd_adversary.crossing.cars import BASIC_KERNELS, CarModel, known_basic_car, unknown_car
-from skd_adversary.crossing.interfaces import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
+from skd_adversary.crossing.interfaces import (
+    ADVERSARY_X,
+    ADVERSARY_Y,
+    CAR_S,
+    CAR_SPEED,
+    ROW,
+    STATE_DIM,
+    TRIGGER,
+    ObjectiveModel,
+    move,
+    template,
+    velocity,
+)
 from skd_adversary.crossing.model import compose, transition_parts
-from skd_adversary.crossing.objectives import PAPER
+from skd_adversary.crossing.objectives import PAPER, objective_named
 from skd_adversary.crossing.path import polyline_distance, polyline_segments
-from skd_adversary.crossing.road_users import EAST, PEDESTRIAN, action_velocity, road_user_named
+from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, PEDESTRIAN, STAY, action_velocity, road_user_named
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
+from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
+from skd_adversary.pomdp.planner import Planner, PlannerOptions
+from skd_sim.arrays import FloatArray
 from skd_sim.controllers.basic import BasicController
+from skd_sim.kernels.compilation import kernel
+from skd_sim.options.adversary import OBJECTIVES
 from skd_sim.scenario.road import road_position
 from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import EpisodeSpec, Mode
+from skd_sim.world.state import CarState, Trajectory
 from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")
@@ -171,3 +195,100 @@ def test_reinvigoration_keeps_the_adversary_and_agrees_with_the_observation(stat
         distance[i] = math.hypot(state[ADVERSARY_X], redrawn[CAR_S] - state[ADVERSARY_Y])
     assert stats.kstest(relative + far, "norm").pvalue > 1e-3
     assert stats.kstest(distance - far, "norm").pvalue > 1e-3
+
+
+# --- an objective of one's own: to stand on x = −2 and wait
+
+
+@template
+def _begin(parameters: Any, state: FloatArray) -> None:
+    state[ROW] = 0.0
+
+
+@template
+def _step_composition(parameters, state, action, next_state, rng):
+    vx, vy = velocity(parameters, state, action)
+    move(parameters, state, vx, vy, next_state, rng)
+    next_state[ROW] = state[ROW] + 1.0
+    return -abs(next_state[ADVERSARY_X] - parameters.wanted_x), next_state[ROW] >= 6.0
+
+
+@kernel(inline=True)
+def _go(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    return EAST if state[ADVERSARY_X] < parameters.wanted_x - 0.1 else STAY
+
+
+def _numbers(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
+    return {"wanted_x": -2.0}
+
+
+def _one(points: int) -> int:
+    return 1
+
+
+WAIT = ObjectiveModel(
+    "wait",
+    1.0,
+    PlannerOptions(simulations=1000, exploration=1.0, particles=300),
+    _numbers,
+    step=_step_composition,
+    rollout_action=_go,
+    begin=_begin,
+    own_dim=_one,
+)
+
+
+def test_an_objective_of_ones_own() -> None:
+    model = compose(CROSSING, WAIT, unknown_car(), start=(-3.5, 0.0), gap=30.0)
+    assert (model.state_dim, model.action_count) == (STATE_DIM + 1, ACTION_COUNT)
+    rng = np.random.default_rng(0)
+    belief, planner = ParticleBelief(model, 100, rng), Planner(model, replace(WAIT.options, simulations=4000), rng)
+    x = []
+    for _ in range(5):
+        action = planner.plan(belief)
+        belief.predict(action)
+        assert (belief.particles[:, ADVERSARY_X] == belief.particles[0, ADVERSARY_X]).all()
+        x.append(belief.particles[0, ADVERSARY_X])
+    assert x == pytest.approx([-2.75, -2.0, -2.0, -2.0, -2.0])
+    assert (belief.particles[:, STATE_DIM] == 5.0).all()
+
+
+def test_two_parts_with_a_parameter_of_one_name_are_refused() -> None:
+    twice = replace(WAIT, parameters=lambda scenario, path: {"radius": 1.0})
+    with pytest.raises(ValueError, match="wait: two parts of the model have a parameter radius"):
+        compose(CROSSING, twice, unknown_car(), start=(-3.5, 0.0), gap=30.0)
+
+
+def test_objectives_are_found_by_name() -> None:
+    for name in OBJECTIVES.own:
+        assert objective_named(name).name == name
+
+
+ACROSS = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.75), np.zeros(9)]), CROSSING.time_step)
+DRAWS = 4000
+
+
+def noisy(position: float, distance: float) -> Scenario:
+    adversary = replace(CROSSING.adversary, position_noise=position, distance_noise=distance)
+    return replace(CROSSING, adversary=adversary)
+
+
+def adversary(scenario: Scenario, controller: str) -> PlanningAdversary:
+    episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 3, 1, controller=controller, safe_trajectory=ACROSS, simulations=1)
+    made = make_adversary(episode)
+    assert isinstance(made, PlanningAdversary)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("controller", "truth"), [("basic", -12.0), ("carla", float(np.hypot(3.5, 12.0)))], ids=["position", "distance"]
+)
+@pytest.mark.parametrize("noise", [0.25, 1.0])
+def test_what_is_seen_is_the_truth_and_the_noise_that_the_scenario_says(controller, truth, noise):
+    """Of n normal draws mean and deviation are within 4.5 standard errors: σ/√n and σ/√2n."""
+    mine = (noise, 7.0) if controller == "basic" else (7.0, noise)  # the other sensor's must not be taken
+    sees = adversary(noisy(*mine), controller)
+    seen = np.array([sees._sense(CarState(0.0, -12.0, np.pi / 2, 8.0))[0] for _ in range(DRAWS)])
+    assert seen.mean() == pytest.approx(truth, abs=4.5 * noise / np.sqrt(DRAWS))
+    assert seen.std() == pytest.approx(noise, rel=4.5 / np.sqrt(2 * DRAWS))
+    assert abs(np.corrcoef(seen[1:], seen[:-1])[0, 1]) < 4.5 / np.sqrt(DRAWS)

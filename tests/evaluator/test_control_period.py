@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from search_support import CROSSING, kamikaze_episode
-from skd_adversary.adversary import make_adversary
 from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import check_controller
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_sim.controllers.loading import make_controller, user_controller
-from skd_sim.controllers.protocol import SensingController
+from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.ros.lockstep import CommandSource, ControlStep, End, Lockstep, Senders, Start, WaitLimits, frame_stamp
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.sensors import make_laser
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState
 
 POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]
@@ -80,64 +75,6 @@ def test_the_car_decides_on_true_states_every_control_period_and_the_adversary_e
     velocities = [velocity for _, velocity in simulator.told]
     assert velocities == [velocities[3 * (index // 3)] for index in range(periods)]
     assert len({command for command, _ in simulator.told}) == periods
-
-
-def frames_of(episode: EpisodeSpec, *, real_time: bool) -> Iterator[Frame]:
-    """Run an episode through the rules of the graph; in real time every command comes in time."""
-    start = 3_000_000_000
-    simulator, adversary = WorldSimulator(), make_adversary(episode)
-    controller = make_controller(episode.controller, episode.multiplier)
-    controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
-    laser = make_laser(episode)
-    sources = (CommandSource(name, name, Senders()) for name in ("car", "adversary"))
-    lockstep = Lockstep(*sources, WaitLimits(1.0, 1.0), real_time=real_time)
-    frame = simulator.reset(episode)
-    assert lockstep.begin(start, episode.scenario, frame, 0.0) is None
-    yield frame
-    end: End | None = None
-    while end is None:
-        stamp = frame_stamp(start, frame, episode.scenario)
-        action = None
-        if frame.period == 0:
-            action = lockstep.walk(stamp, adversary.act(frame.car))
-        if isinstance(controller, SensingController) and laser is not None:
-            controller.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
-        action = lockstep.drive(stamp, controller.command(frame.car, frame.adversary)) or action
-        if real_time:
-            assert action == (Start() if frame.tick == frame.period == 0 else None)
-            action = lockstep.go_on()
-        assert isinstance(action, ControlStep)
-        frame = simulator.step(action.drive, action.velocity)
-        end = lockstep.advance(frame, 0.0)
-        yield frame
-
-
-def log_of(episode: EpisodeSpec, frames: Iterator[Frame]) -> EpisodeLog:
-    at_ticks = [frame for frame in frames if frame.period == 0]
-    last = at_ticks[-1]
-    return EpisodeLog(
-        episode,
-        last.outcome,
-        np.array([frame.adversary[:2] for frame in at_ticks]),
-        np.array([frame.car for frame in at_ticks]),
-        *last.impact(episode.scenario.time_step),
-    )
-
-
-@pytest.mark.parametrize("name", ["basic", "cal"])
-@pytest.mark.parametrize("mode", [Mode.KAMIKAZE, Mode.REPLAY])
-def test_in_process_in_lockstep_and_in_real_time_every_byte_is_the_same(name: str, mode: Mode) -> None:
-    for number in range(2):
-        episode = episode_of(name, number, mode)
-        expected = run_episode(episode)
-        for real_time in (False, True):
-            log = log_of(episode, frames_of(episode, real_time=real_time))
-            assert log.outcome == expected.outcome
-            assert log.adversary.tobytes() == expected.adversary.tobytes()
-            assert log.car.tobytes() == expected.car.tobytes()
-            assert np.array([log.impact_time, log.impact_speed]).tobytes() == (
-                np.array([expected.impact_time, expected.impact_speed]).tobytes()
-            )
 
 
 # --- what a controller declares

@@ -1,18 +1,24 @@
-"""Endings are regions, and adversaries come from either side: mirrored, all is as it was."""
+"""How an assessment counts episodes that end otherwise: endings, other road users, seldom settings."""
 
 from __future__ import annotations
 
 import copy
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from cli_support import skd
+from common import run_skd
 from search_support import search_margin
 from skd_adversary.safe_trajectories.sources import read_csv_trajectory
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.metrics.aborted import not_credible
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
@@ -102,3 +108,57 @@ def test_a_file_that_walks_the_other_way_is_refused(tmp_path: Any) -> None:
     with pytest.raises(UsageError, match=r"walks East, .* crosses towards the West"):
         read_csv_trajectory(file, MIRRORED)
     assert Plan(MIRRORED).scenario.end.crossing == -1.0
+
+
+STOPPING = {
+    "kind": "car",
+    "length": 4.0,
+    "width": 1.7,
+    "start_heading": 1.5707963,
+    "way": [{"time": 0.0, "x": 0.0, "y": 0.0}, {"time": 2.4, "x": 0.0, "y": 12.0}],  # and stands there
+}
+
+
+def behind(folder: Path) -> None:
+    data = copy.deepcopy(load_scenario("crossing").as_dict())
+    data["others"] = [STOPPING]
+    data["adversary"]["start_x"] = -6.0  # crosses behind the car ahead
+    (folder / "behind.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+
+
+COUNTS = ("--safe-count", "2", "--kamikaze-count", "3", "--collision-runs", "10", "--simulations", "60")
+
+
+def test_a_car_that_brakes_for_the_adversary_alone_runs_into_the_car_ahead(tmp_path: Path) -> None:
+    behind(tmp_path)
+    done = skd("assess", "--multiplier", "0", "--scenario", "behind.yaml", *COUNTS, "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "episodes the car ran into others[0], a car, and not into the adversary" in done.stderr
+    result = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
+    assert result["contact_rate"] == 1.0
+    assert result["margin"] < 0.01
+    verified = skd("verify", "out", cwd=tmp_path)
+    assert verified.returncode == 0, verified.stderr
+
+
+SMALL = (
+    *("--adversary-model", "generic", "--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2),
+    *("--simulations", 20),
+    *("--workers", 1, "--behaviour", "none", "--no-pictures", "--quiet", "--seed", 1),
+)
+
+
+def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The search looks no further; it was said that the car answers it otherwise than an episode."""
+    (tmp_path / "near.yaml").write_text("extends: crossing_multi_body\nname: near\neta_max: 0.3\n")
+    searched = ("--multiplier", 1.5, "--objective", "paper", "--margin-limit", 32)
+    scenario = ("--scenario", tmp_path / "near.yaml")
+    assert run_skd("assess", *searched, *scenario, *SMALL, "--out", tmp_path / "near") == 0
+    figures = json.loads((tmp_path / "near" / "assessment.json").read_text())
+    assert figures["deviation_of_successes"] > figures["eta_max"] == figures["margin"] == 0.3
+    assert figures["margin_beyond"] == figures["margin_trials"] == 4
+    assert not_credible(figures["warnings"]) == []
+    assert "give a greater --kamikaze-count or eta_max" in capsys.readouterr().err
+    assert run_skd("verify", tmp_path / "near") == 0, capsys.readouterr().out

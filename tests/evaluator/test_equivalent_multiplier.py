@@ -1,21 +1,33 @@
-"""The equivalent multiplier: where the difference of two cars' margins passes 0, and how surely."""
+"""The equivalent multiplier and the vulnerability curve."""
 
 from __future__ import annotations
 
+import json
 import math
+import re
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from report_support import edited
 from scipy import stats
 from scipy.optimize import brentq, isotonic_regression
-from skd_evaluator.metrics.margins import (
+from skd_evaluator.metrics.equivalent_multiplier import (
+    EquivalentMultiplier,
     difference,
     equivalent_entries,
     equivalent_multiplier,
     isotonic_means,
 )
+from skd_evaluator.metrics.statistics import wilson_interval
+from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
+from skd_evaluator.report.charts import interval_band
+from skd_evaluator.report.html import page
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.summary import markdown
+from skd_evaluator.report.tables import comparison_table
+from skd_evaluator.report.terminal import details_table, print_table
 
 GRID = [0.5, 0.75, 1.0, 1.25, 1.5]
 FINE = np.linspace(0.5, 1.5, 101)
@@ -93,3 +105,104 @@ def test_trials_that_say_nothing_do_not_count():
     assert found.trials == 3
     assert found.mean == pytest.approx((0.1 + 0.5 + 0.2) / 3)
     assert difference([[math.nan]], [[1.0]]) is None
+
+
+ETA_MAX = 5.0
+DEVIATIONS = st.one_of(st.floats(1e-6, 8.0), st.just(0.0), st.just(math.inf), st.sampled_from([0.5, 1.0, 5.0]))
+GROUPS = st.lists(st.lists(DEVIATIONS, min_size=1, max_size=30), min_size=1, max_size=6)
+
+
+@given(GROUPS)
+def test_the_area_above_is_the_restricted_mean(groups):
+    curve = vulnerability_curve(groups, ETA_MAX)
+    restricted = [min(value, ETA_MAX) for group in groups for value in group]
+    assert curve.area_above == pytest.approx(math.fsum(restricted) / len(restricted), abs=1e-9)
+
+
+@given(GROUPS, st.one_of(st.just(0.0), st.floats(1e-6, ETA_MAX, exclude_max=True)))
+def test_the_curve_is_the_empirical_distribution_and_the_bound_is_above_it(groups, eta):
+    curve = vulnerability_curve(groups, ETA_MAX)
+    values = np.concatenate(groups)
+    assert curve.probability(eta) == pytest.approx(np.mean(values <= (eta or 1e-10)))
+    assert curve.interval(eta) == wilson_interval(int(np.sum(values <= (eta or 1e-10))), len(values))
+    assert curve.bound(eta) >= curve.probability(eta) - 1e-12
+    assert curve.bound(eta) >= curve.cantelli(eta) - 1e-12
+    assert curve.cantelli(eta) >= curve.probability(eta) - 1e-12
+
+
+def test_what_json_holds_is_whole():
+    content = vulnerability_curve([[0.0, 1.0], [math.inf]], ETA_MAX).as_dict()
+    assert content["trials"] == 3
+    assert content["steps"] == {"eta": [0.0, 1.0], "probability": pytest.approx([1 / 3, 2 / 3])}
+    assert content["points"][0]["eta"] == 0.0
+    assert content["points"][0]["ci95_trials"] == wilson_interval(1, 3)
+    values = np.array([0.0, 1.0, ETA_MAX])  # Cantelli's and Theorem 1's bound at η = 1, from mean and variance alone
+    variance, far = values.var(ddof=1), values.mean() - 1.0
+    assert content["points"][10]["cantelli"] == pytest.approx(variance / (variance + far * far))
+    wider = (variance + 2.0 * values.mean()) / (variance + values.mean() ** 2)
+    assert content["points"][10]["bound"] == pytest.approx(min(1.0, wider))
+    assert [point["eta"] for point in content["points"]] == pytest.approx(np.arange(50) * 0.1)
+
+
+@pytest.mark.parametrize("deviations", [[[0.57] * 20, [0.57] * 10 + [2.3] * 10], [[np.inf] * 4], [[0.0, 0.1, 4.95]]])
+def test_the_band_of_the_picture_has_the_intervals_and_never_leaves_the_curve(deviations):
+    curve = vulnerability_curve(deviations, 5.0)
+    assert curve is not None
+    content = curve.as_dict()
+    etas, low, high = interval_band(content)
+    for point in content["points"]:
+        expected = point["ci95"] or point["ci95_trials"]
+        at = np.searchsorted(etas, point["eta"], side="right") - 1
+        assert (low[at], high[at]) == pytest.approx(expected, abs=1e-12)
+    inside = etas < content["points"][-1]["eta"]
+    values = np.array([curve.probability(eta) for eta in etas[inside]])
+    assert (low[inside] <= values + 1e-12).all()
+    assert (high[inside] >= values - 1e-12).all()
+
+
+INF = math.inf
+FOUND = {  # C, the interval by φ, the one on these φ; how C and the two read
+    "inside": (0.75, (0.7, 0.8), (0.625, 0.875), "0.750", "0.700, 0.800", "0.625, 0.875"),
+    "one end": (1.25, (1.0, 1.375), (1.125, INF), "1.250", "1.000, 1.375", "1.125, above 1.5"),
+    "above": (INF, (INF, INF), (1.375, INF), "above 1.5", "above 1.5, above 1.5", "1.375, above 1.5"),
+    "below": (-INF, (-INF, -INF), (-INF, 0.625), "below 0.5", "below 0.5, below 0.5", "below 0.5, 0.625"),
+    "one φ": (0.75, None, (0.625, 0.875), "0.750", None, "0.625, 0.875"),
+}
+NAME = "equivalent_multiplier"
+
+
+def html_cells(folder) -> list[str]:
+    """Value, interval by φ and the other one, of the table of ratings."""
+    html = page.render(read_subjects([folder]))
+    (row,) = re.findall(r'<th scope="row">equivalent multiplier C</th>(.*?)</tr>', html)
+    return re.findall(r'<td data-label="[^"]*" class="n[^"]*">(.*?)</td>', row)
+
+
+@pytest.mark.parametrize("case", FOUND)
+def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    *figures, value, by_phi, plain = FOUND[case]
+    found = EquivalentMultiplier(*figures, 0.5, 1.5)
+    changes = {**equivalent_entries(found), f"{NAME}_note": ""}
+    folder = edited(sweep / "synthetic" / "C_1", tmp_path / "one", **changes)
+    result = json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
+
+    for name, ends in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_trials)):
+        kept = result[f"{NAME}_{name}"]
+        assert kept == (None if ends is None else [end if math.isfinite(end) else None for end in ends])
+
+    print_table(details_table(result))
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    (alone,) = [line for line in lines if line.startswith("equivalent multiplier")]
+    assert alone.startswith(f"equivalent multiplier C {value} {f'[{by_phi}]' if by_phi else '—'} [{plain}]")
+
+    rows = [line for line in markdown(result, []).splitlines() if line.startswith("|")]
+    assert rows[0] == "| | value | 95 % by φ | 95 %, as independent |"
+    assert f"| equivalent multiplier C | {value} | {f'[{by_phi}]' if by_phi else '—'} | [{plain}] |" in rows
+
+    shown = [by_phi.replace(", ", " to ") if by_phi else "–", plain.replace(", ", " to ")]
+    assert html_cells(folder) == [value, *shown]
+
+    print_table(comparison_table([{**result, "car": "mine"}], None))
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if line.lstrip().startswith("mine")]
+    assert f" {value}" in row

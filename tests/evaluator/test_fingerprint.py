@@ -1,15 +1,20 @@
-"""Which files say what a user's code is: another car is told from the one before, wherever it has changed."""
+"""Where a result comes from: hashes of the car's files, and its provenance."""
 
 from __future__ import annotations
 
+import json
+import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from cli_support import SMALL
+from common import assert_valid
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.dask_cluster import _have, sent
 from skd_evaluator.assessment.stages.car_model import model_file
-from skd_evaluator.provenance import code_paths
+from skd_evaluator.provenance import code_paths, git_revision
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
@@ -134,3 +139,51 @@ def test_a_worker_with_another_package_is_refused(tmp_path: Path, monkeypatch: p
     put(tmp_path / "there" / "convoy" / "law.py", "GAIN = 2\n")
     with pytest.raises(UsageError, match="has other files of the controller"):
         _have(controller)
+
+
+def content(folder: Path) -> dict[str, object]:
+    return json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
+
+
+def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
+    monkeypatch.syspath_prepend(here)
+    begin = datetime.now(UTC).replace(microsecond=0)
+    command = ["assess", *SMALL, "-p", "curve:=true", "--margin-limit", "20", "--safe", "good.csv", "--objective"]
+    done = skd_here(
+        *command, "deviation", "--adversary-model", "generic", "--controller", "my_cars:Fine", "--out", "out dir"
+    )
+    assert done.returncode == 0, done.stderr
+    result = content(here / "out dir")
+    assert_valid(result)
+    assert done.stdout.splitlines()[-1].startswith(f"{result['seconds']:.1f} s; results in out dir; --details")
+    said = result["provenance"]
+    assert begin <= datetime.fromisoformat(said["date"]) <= datetime.now(UTC)
+    assert said["command"].startswith("skd assess --safe-count 1 ")
+    assert "--out 'out dir'" in said["command"]
+    assert Path(said["folder"]) == here
+    assert [one["path"] for one in said["controller_files"]] == [str(here / "my_cars.py")]
+    assert said["car_model_sha256"] is None
+
+
+def test_git_revision_is_of_the_checkout_that_the_code_is_in(tmp_path, monkeypatch):
+    code = tmp_path / "package" / "code.py"
+    code.parent.mkdir()
+    code.write_text("1\n")
+    assert git_revision(code) is None  # nobody's checkout
+
+    def git(*words: str) -> str:
+        identity = ["-c", "user.name=n", "-c", "user.email=e", "-c", "commit.gpgsign=false"]
+        return subprocess.run(
+            ["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True, text=True
+        ).stdout
+
+    git("init", "-q")
+    assert git_revision(code) is None  # an installation inside of one
+    git("add", ".")
+    git("commit", "-qm", "first")
+    monkeypatch.setenv("GIT_DIR", "/nowhere")  # as inside a hook
+    first = git_revision(code)
+    monkeypatch.delenv("GIT_DIR")
+    assert first == {"revision": git("rev-parse", "HEAD").strip(), "modified": False}
+    code.write_text("2\n")
+    assert git_revision(code) == {**first, "modified": True}

@@ -1,4 +1,4 @@
-"""What `skd` says of itself, wherever it is written to, and the words of its help and its errors."""
+"""The command line: help, a light start."""
 
 from __future__ import annotations
 
@@ -106,3 +106,18 @@ def test_no_sentence_is_long_and_no_word_private(commands):
     assert [(place, one) for place, text in said for one in too_long(text, ".!?;:")] == []
     sentences = [(place, text) for place, text in said if len(text.split()) > 2]
     assert [(place, text) for place, text in sentences if PRIVATE.search(text.replace("told apart", ""))] == []
+
+
+@pytest.mark.parametrize(
+    ("program", "without"),
+    [
+        ("import skd_evaluator.cli.results", "scipy.special scipy.optimize matplotlib vl_convert"),
+        ("from skd_evaluator.cli.parser import make_parser; make_parser()", "numpy numba pydantic rich yaml"),
+        ("from skd_evaluator.cli.main import main; main(['compare', '--difference', '0.5'])", "matplotlib"),
+    ],
+    ids=["assess", "help", "plan"],
+)
+def test_a_start_imports_no_library_that_it_does_not_need(program: str, without: str) -> None:
+    said = f"import sys\n{program}\nprint([name for name in {without.split()} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -1,23 +1,38 @@
-"""The margin's mean, interval and curve, and Cantelli's bound."""
+"""What the adversary of the margin can do, its mean, interval and curve, and margins on disk."""
 
 from __future__ import annotations
 
 import json
 import math
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cli_support import one_line
 from hypothesis import given
 from hypothesis import strategies as st
-from report_support import make_sweep
 from scipy import stats
-from skd_evaluator.assessment.files.results import read_result
+from skd_adversary.crossing import road_users
+from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, STAY, action_velocity, road_user_named
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.compare.comparison import compare
+from skd_evaluator.assessment.files.results import read_result, write_assessment
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
+from skd_evaluator.margin.actions import FIRST_HALF, MOVE_COUNT, move_velocity, velocities
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.metrics.statistics import cantelli_bound, frechet_probability_bound, normal_interval
+from skd_sim.errors import UsageError
+from skd_sim.options.adversary import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Outcome
 from skd_sim.world.state import Trajectory
+from stages import rate, with_margins
 
 MARGINS = st.lists(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=12), min_size=2, max_size=8)
 
@@ -95,19 +110,6 @@ def test_a_law_of_two_points_attains_cantelli(eta, above, share):
     assert cantelli_bound(eta, mean, variance) == pytest.approx(share, rel=1e-6)
 
 
-FIGURE = "margin_p10"
-
-
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    sweep = make_sweep(tmp_path_factory.mktemp("worst") / "sweep")
-    return [sweep / "synthetic" / f"C_{multiplier}" for multiplier in ("0.5", "1")]
-
-
-def figures_of(folder: Path) -> dict[str, Any]:
-    return json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
-
-
 @pytest.mark.parametrize(
     ("distances", "found"),
     [
@@ -124,12 +126,131 @@ def test_it_is_the_tenth_between_order_statistics(distances, found):
     assert Margins((ways,), 5.0).quantile(0.1) == pytest.approx(found)
 
 
-def test_a_tenth_of_the_trials_of_a_car_is_at_or_below_it(folders):
-    for folder in folders:
-        result = read_result(folder)
-        margins = sorted(value for phi in result.groups["margin"] for value in phi.tolist())
-        place = (len(margins) - 1) / 10
-        low, high = margins[math.floor(place)], margins[math.ceil(place)]
-        assert low <= result.figures[FIGURE] <= high
-        assert result.figures[FIGURE] <= result.figures["margin"]
-    assert figures_of(folders[0])[FIGURE] < figures_of(folders[1])[FIGURE]
+CROSSING, CYCLIST = load_scenario("crossing"), load_scenario("cyclist")
+LIMITS = road_user_named("cyclist").parameters(CYCLIST)["own_limits"]
+PHI = np.array([[-3.5, 0.0], [-3.2, 0.1], [-2.9, 0.1]])
+
+
+def test_a_pedestrian_stays_or_goes_in_five_directions_at_two_paces_or_as_phi():
+    found = velocities(CROSSING, PHI, 0)
+    assert found.shape == (MOVE_COUNT, 2) == (12, 2)
+    speeds = np.hypot(*found.T)
+    assert np.delete(speeds, [STAY, AS_PHI]) == pytest.approx([2.5] * 5 + [1.25] * 5)
+    assert speeds[STAY] == 0.0
+    for action in range(ACTION_COUNT):
+        assert tuple(found[action]) == action_velocity(action, 2.5)
+    for action in range(STAY):
+        assert found[FIRST_HALF + action] == pytest.approx(0.5 * found[action], abs=0.0)
+    assert len(np.unique(np.round(found, 9), axis=0)) == 12
+    assert found[AS_PHI] == pytest.approx([1.0, 1.0 / 3.0])
+    assert velocities(CROSSING, PHI, 1)[AS_PHI] == pytest.approx([1.0, 0.0])
+    assert velocities(CROSSING, PHI, 2)[AS_PHI] == pytest.approx([0.0, 0.0], abs=0.0)
+    for way in range(MOVE_COUNT):
+        assert tuple(found[way]) == move_velocity(way, PHI, 0, CROSSING.time_step, 2.5)
+
+
+def test_a_cyclist_has_its_own_actions_from_its_own_state():
+    step, most = CYCLIST.time_step, CYCLIST.adversary.speed
+    straight = np.array([[-9.0 + 0.9 * k, 0.0] for k in range(8)])
+    walked = straight[:2] + np.array([[0.0, 0.0], [0.0, 0.2]])
+    found = velocities(CYCLIST, straight, 1, walked)
+    heading, speed = math.atan2(0.2, 0.9), math.hypot(0.2, 0.9) / step
+    expected = [road_users.ridden(LIMITS, heading, speed, action, most, step) for action in range(7)]
+    assert found[:-1] == pytest.approx(np.array(expected))
+
+
+def test_a_cyclist_goes_as_phi_as_far_as_it_can():
+    step = CYCLIST.time_step
+    straight = np.array([[-9.0 + 0.9 * k, 0.0] for k in range(8)])
+    as_phi = velocities(CYCLIST, straight, 2, straight[:3])[-1]
+    assert as_phi == pytest.approx([3.0, 0.0])
+    # φ jumps aside: nobody rides so, whoever has been as φ before. 3 m/s is 1.8 m/s² less than √13 m/s and turns 33.7°.
+    jump = straight.copy()
+    jump[3:, 1] = 0.6
+    bounded = velocities(CYCLIST, jump, 2, jump[:3])[-1]
+    assert np.hypot(*bounded) == pytest.approx(3.0 + step * LIMITS.acceleration)
+    turned = math.atan2(bounded[1], bounded[0])
+    assert turned == pytest.approx(LIMITS.lateral * step / np.hypot(*bounded))
+    # What is between its actions it can do.
+    between = 2.8 * np.array([math.cos(0.1), math.sin(0.1)])
+    reachable = np.vstack([straight[:3], straight[2] + step * between])
+    assert velocities(CYCLIST, reachable, 2, straight[:3])[-1] == pytest.approx(between)
+
+
+PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=3, collision_runs=4, seed=5, simulations=30)
+
+
+@pytest.fixture(scope="module")
+def ratings() -> dict[float, Assessment]:
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(PLAN, runner)
+        found = {}
+        for multiplier in (0.5, 1.15):
+            plan = replace(PLAN, multiplier=multiplier)
+            found[multiplier] = with_margins(rate(plan, [Objective.DEVIATION], safe, runner), runner, 50)
+        return found
+
+
+@pytest.fixture(scope="module")
+def folders(ratings: dict[float, Assessment], tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
+    found = {}
+    for multiplier, rating in ratings.items():
+        folder = found[multiplier] = tmp_path_factory.mktemp("margins") / f"{multiplier}"
+        folder.mkdir()
+        write_assessment(folder, rating)
+    return found
+
+
+def edited(folder: Path, to: Path, **changes: Any) -> Path:
+    shutil.copytree(folder, to)
+    path = to / "assessment.json"
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | changes), encoding="utf-8")
+    return to
+
+
+def test_another_margin_than_that_of_the_ways_is_refused(folders, tmp_path):
+    said = read_result(folders[0.5]).figures["margin"]
+    with pytest.raises(UsageError, match="not of one assessment"):
+        read_result(edited(folders[0.5], tmp_path / "more", margin=said + 1e-6))
+    with pytest.raises(UsageError, match="margin is nothing"):
+        read_result(edited(folders[0.5], tmp_path / "none", margin=None))
+    without = tmp_path / "without"
+    shutil.copytree(folders[0.5], without)
+    with np.load(without / "episodes.npz") as arrays:
+        kept = {name: arrays[name] for name in arrays.files if not name.startswith("margin")}
+    np.savez_compressed(without / "episodes.npz", **kept)
+    with pytest.raises(UsageError, match="its episodes give nothing"):
+        read_result(without)
+
+
+def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_path):
+    """The margin is of no kamikaze: a car is judged where none ran."""
+    found = {}
+    for multiplier, folder in folders.items():
+        changes = {"deviation": None}
+        found[multiplier] = edited(folder, tmp_path / f"{multiplier}", **changes)
+        with np.load(folder / "episodes.npz") as arrays:
+            aborted = dict(arrays)
+        aborted["outcome"] = np.where(aborted["mode"] == 1, int(Outcome.ABORTED), aborted["outcome"]).astype(np.int8)
+        np.savez_compressed(found[multiplier] / "episodes.npz", **aborted)
+    first, second = (read_result(found[multiplier]) for multiplier in (0.5, 1.15))
+    assert first.curve is None
+    held = compare(first, second)
+    assert (held.verdict, held.judged_by) == ("safer", "margin")
+    assert "deviation" not in held.differences
+
+
+def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, folders, tmp_path):
+    one, two = folders[0.5], edited(folders[1.15], tmp_path / "two", adversary_model="generic")
+    done = skd_here("compare", str(one), str(two), "--difference", "0.3", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["figure"] == "margin"
+    margins = [np.array(read_result(folder).groups["margin"]) for folder in (one, two)]
+    within = (margins[1] - margins[0]).var(axis=1, ddof=1).mean()
+    assert found["variance_within"] == pytest.approx(within)
+    refused = skd_here("compare", str(one), str(two), "--difference", "0.3", "--figure", "deviation")
+    one_line(refused, 2, "planned figures are not compared", "adversary model exact and generic")
+    limited = edited(folders[1.15], tmp_path / "limited", maximum_distance=2.0)
+    refused = skd_here("compare", str(one), str(limited), "--difference", "0.3", "--figure", "deviation")
+    one_line(refused, 2, "planned figures are not compared", "maximum distance (m) none and 2")

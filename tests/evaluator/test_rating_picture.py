@@ -1,7 +1,8 @@
-"""Margin against risk and against price: where cars stand, and that a car has one colour in every chart."""
+"""The picture of a rating, and tables of many cars."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from cli_support import SMALL
 from matplotlib.image import imread
 from skd_evaluator.report.charts import (
+    against_multiplier,
     charted,
     coloured,
     floor_of,
@@ -20,7 +22,9 @@ from skd_evaluator.report.charts import (
     rating_chart,
     vulnerability_chart,
 )
-from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.html.figures import by_scenario, matrix_of
+from skd_evaluator.report.html.page import render
+from skd_evaluator.report.html.subjects import Subject, read_subjects
 
 
 @pytest.mark.parametrize(
@@ -88,3 +92,41 @@ def test_cars_of_one_scale_are_drawn_by_margin_and_risk(skd_here, here: Path, sw
         assert imread(here / "both" / name).shape[1] > 600
     assert skd_here("compare", "other", parts[0], "--out", "unlike").returncode == 0
     assert not (here / "unlike" / "rating.png").exists()  # their φ differ
+
+
+@pytest.fixture(scope="module")
+def subjects(sweep) -> list[Subject]:
+    """Two cars in two scenarios: the second scenario is the first by another name."""
+    here = read_subjects([sweep])
+    scenario = dataclasses.replace(here[0].scenario, name="there")
+    plans = [dataclasses.replace(one.assessment.plan, scenario=scenario) for one in here]
+    there = [
+        dataclasses.replace(one, label=f"{one.label} there", assessment=dataclasses.replace(one.assessment, plan=plan))
+        for one, plan in zip(here, plans, strict=True)
+    ]
+    return [one for pair in zip(here, there, strict=True) for one in pair]
+
+
+def test_each_assessment_is_in_the_cell_of_its_car_and_scenario(subjects):
+    found = matrix_of(subjects)
+    assert found["scenarios"] == ["crossing", "there"]
+    for car, cells in found["rows"]:
+        for name, several in zip(found["scenarios"], cells, strict=True):
+            (mine,) = [one for one in subjects if one.figures["car"] == car and one.scenario.name == name]
+            (cell,) = several
+            assert cell["margin"] == f"{mine.figures['margin']:.3f}"
+    assert [subjects[place].scenario.name for place in by_scenario(subjects)] == ["crossing"] * 2 + ["there"] * 2
+
+
+def test_there_is_none_of_one_scenario_or_of_one_car(subjects):
+    assert matrix_of(subjects[::2]) is None
+    assert matrix_of(subjects[:2]) is None
+    page = render(subjects)
+    assert page.index('id="matrix"') < page.index('id="verdict-table"')
+
+
+def test_no_line_joins_cars_of_one_multiplier(subjects):
+    """As of one scenario at two speeds: there is no order in which to join them."""
+    here = subjects[::2]
+    assert against_multiplier(subjects)
+    assert not against_multiplier([*here, dataclasses.replace(here[0], label="again")])

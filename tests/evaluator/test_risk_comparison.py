@@ -1,22 +1,38 @@
-"""Two cars by margin and risk: safer is who is so by one of them, while no estimate of the others points elsewhere."""
+"""Risks of two cars, and touches that count."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from contact_support import Seen, distances, watched
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_evaluator.assessment.compare.comparison import INCONCLUSIVE, LESS_SAFE, SAFER, Comparison, compare
 from skd_evaluator.assessment.context import RiskRequest
+from skd_evaluator.assessment.episode_figures import closing_speed, collision_partner, surrogates_of
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.risk import crude_crossings
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import Parameter, load_behaviour
+from skd_evaluator.metrics.contact_place import car_at_contact, car_until_contact, last_car_position
 from skd_evaluator.metrics.difference import Difference
+from skd_evaluator.metrics.risks import Touch
+from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
+from skd_evaluator.risk.cars import AnyCar, end_of
+from skd_evaluator.risk.crossings import CrossingPlan
+from skd_sim.controllers.protocol import Controller
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.road_user import Other, Waypoint
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import EpisodeLog, Outcome
 from stages import rate, with_margins, with_risks
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=2, collision_runs=4, seed=5, simulations=20)
@@ -128,3 +144,116 @@ def test_no_car_is_safer_from_both_sides(figures, results):
 def test_a_gate_does_not_wait_until_all_estimates_point_one_way(figures, behind, results):
     """Who surely has less margin does not pass because a risk points the other way and is not sure."""
     assert leant(results, 1.0, **figures).behind_by == behind
+
+
+CROSSING = load_scenario("crossing")
+
+
+class Brakes:
+    """Brakes hard for whoever is just before it, and decides often."""
+
+    def __init__(self, control_period: float, deceleration: float, reach: float) -> None:
+        self.control_period, self._deceleration, self._reach = control_period, deceleration, reach
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self._front = scenario.car.front
+
+    def command(self, car, adversary) -> float:
+        dx, dy, cos, sin = adversary.x - car.x, adversary.y - car.y, math.cos(car.heading), math.sin(car.heading)
+        ahead, left = cos * dx + sin * dy - self._front, cos * dy - sin * dx
+        return -self._deceleration if 0.0 <= ahead <= self._reach and abs(left) < 2.5 else 0.0
+
+
+def in_the_curve(scenario: Scenario) -> Scenario:
+    """Who crosses is met in the middle of the curve."""
+    return replace(scenario, road=replace(scenario.road, origin=68.0))
+
+
+def in_the_way(scenario: Scenario) -> Scenario:
+    """Somebody else crosses, whom the car touches in some crossings and not in others."""
+    way = Waypoint(0.0, 3.1, -1.0), Waypoint(12.0, -8.9, -1.0)
+    return replace(scenario, others=(Other(kind="pedestrian", radius=0.25, way=way),))
+
+
+def crossings(
+    scenario: Scenario, scale: float, runs: int, make: Callable[[], Controller] | None, multiplier: float = 1.0
+) -> list[tuple[EpisodeLog, Seen | None]]:
+    """Crossings of a risk, each with what was seen in it."""
+    period = make().control_period if make else None  # type: ignore[attr-defined]
+    plan = Plan(
+        replace(scenario, control_period=period), safe_count=3, kamikaze_count=2, collision_runs=8, seed=5,
+        simulations=20, multiplier=multiplier,
+    )  # fmt: skip
+    runner = InProcessRunner(1)
+    here = CrossingPlan(plan, tuple(safe_trajectories(plan, runner)), WALKERS.values)
+    episodes = AnyCar(here, runner).episodes(crude_crossings(here, runs), scale)
+    return [watched(one, make and make()) for one in episodes]
+
+
+CASES = {
+    "basic": (CROSSING, None, 1.0),
+    "twenty times a second": (CROSSING, lambda: Brakes(0.05, 8.0, 3.0), 1.0),
+    "a hundred times a second": (CROSSING, lambda: Brakes(0.01, 9.0, 4.0), 1.0),
+    "at the last moment": (CROSSING, lambda: Brakes(0.1, 9.8, 1.0), 1.0),
+    "tyres": (load_scenario("crossing_multi_body"), None, 0.5),
+    "tyres, often": (load_scenario("crossing_multi_body"), lambda: Brakes(0.05, 8.0, 3.0), 1.0),
+    "curve": (in_the_curve(load_scenario("right_turn")), None, 1.0),
+    "curve, often": (in_the_curve(load_scenario("right_turn")), lambda: Brakes(0.05, 8.0, 1.5), 1.0),
+    "bystander": (in_the_way(CROSSING), None, 0.5),
+    "bystander, often": (in_the_way(CROSSING), lambda: Brakes(0.05, 6.0, 5.0), 1.0),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_hit_that_the_world_reports_is_counted_and_no_other(case):
+    scenario, make, multiplier = CASES[case]
+    found = Counter()
+    for log, seen in crossings(scenario, 2.0, 150, make, multiplier):
+        assert (seen is not None) == (log.outcome == Outcome.COLLISION)
+        touch, missed = end_of(log)
+        assert (missed == 0.0) == (touch == Touch.FRONT)
+        assert collision_partner(log) == (None if seen is None else seen.who)
+        wanted = Touch.NONE if seen is None else seen.touch
+        assert wanted in (touch, None), (log.episode.episode_id, seen)
+        found["others" if seen is not None and seen.who >= 0 else touch] += 1
+    assert found[Touch.FRONT] >= 15, found
+    assert found[Touch.FLANK] >= 2, found
+    assert ("others" in found) == ("bystander" in case), found
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_car_is_found_where_it_was_at_the_contact(case):
+    scenario, make, multiplier = CASES[case]
+    most = 0.008 if "tyres" in case else 0.004
+    for log, seen in crossings(scenario, 1.0, 100, make, multiplier):
+        if seen is None:
+            continue
+        (x, y, heading), share = car_at_contact(log)
+        assert math.dist((x, y), seen.car[:2]) < most
+        assert abs(math.remainder(heading - seen.car[2], math.tau)) < 0.001
+        assert abs(seen.time - log.impact_time) * max(seen.car[3], 0.5) < 3e-3  # m; less but in a curve
+        body = log.trajectory.positions[-1]
+        whole = car_until_contact(log.episode.scenario, log.car, len(log.car) - 2 + share, log.impact_speed, body)
+        assert np.array_equal(whole[:-1], log.car[:-1])
+        assert whole[-1, 3] == pytest.approx(log.impact_speed, abs=1e-9)
+        assert math.dist(whole[-1, :2], seen.car[:2]) < (most if seen.who < 0 else 0.05)
+        if seen.touch == Touch.FRONT:
+            apart = distances(np.array([[*whole[-1, :2], heading]]), body[None], scenario)
+            assert apart == pytest.approx(scenario.adversary.reach, abs=1e-9 if scenario.road.straight else 1e-4)
+        assert last_car_position(log) == pytest.approx(right_and_along(scenario.road.line, np.array([[x, y]]))[0, 1])
+
+
+@pytest.mark.parametrize("case", ["twenty times a second", "at the last moment", "tyres", "tyres, often"])
+def test_closing_speed_delta_v_and_fatality_are_those_at_the_contact(case):
+    scenario, make, multiplier = CASES[case]
+    pairs = [(log, seen) for log, seen in crossings(scenario, 1.0, 100, make, multiplier) if seen is not None]
+    logs = [log for log, _ in pairs]
+    values = surrogates_of(logs[0].episode.scenario, [(log, "") for log in logs]).values
+    for row, (log, seen) in enumerate(pairs):
+        walks = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
+        speed, heading = seen.car[3], seen.car[2]
+        comes = math.hypot(speed * math.cos(heading) - walks[0], speed * math.sin(heading) - walks[1])
+        assert values["closing_speed"][row] == pytest.approx(comes, abs=5e-3)
+        assert closing_speed(log) == pytest.approx(comes, abs=5e-3)
+        assert values["delta_v"][row] == pytest.approx(greater_delta_v(comes, "pedestrian"), abs=5e-3)
+        assert values["fatality_risk"][row] == pytest.approx(fatality_risk(comes).value, rel=0.01)
