@@ -1,7 +1,5 @@
 """A headless Chromium, where there is one; a page that tells what it asked for; and axe-core, which checks a page."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """What tests of several folders share: patience, DDS domains of their own, and `skd` in the tests' own process."""
 
-from __future__ import annotations
-
 import io
 import random
 import signal

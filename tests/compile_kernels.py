@@ -1,7 +1,5 @@
 """Compile what tests of all folders need, into the cache, once: rather than in each process that runs them."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor

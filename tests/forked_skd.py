@@ -8,8 +8,6 @@ command, waits for it and reports how it ended, or kills it when its test has go
 variables, search path and output as a new Python would have them, and leaves through Python's own end.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import functools

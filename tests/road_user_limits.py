@@ -1,7 +1,5 @@
 """What each kind of road user can do, by the documented numbers alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

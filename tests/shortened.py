@@ -4,8 +4,6 @@ Pictures are files of the right name; what is drawn is put together all the same
 fixture `pictures_drawn`, those that look at the price of caution `all_harmless_runs`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

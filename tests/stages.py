@@ -1,7 +1,5 @@
 """Single stages of an assessment, for tests that need no more than these."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

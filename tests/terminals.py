@@ -1,7 +1,5 @@
 """A program on a terminal of 80 columns: what it draws there, and keys that are pressed."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """The layout's rules: imports run one way, only nodes know ROS, no data set is kept."""
 
-from __future__ import annotations
-
 import ast
 import graphlib
 import re

@@ -1,7 +1,5 @@
 """What packages offer their users by name."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import subprocess

@@ -1,7 +1,5 @@
 """The scripts that a user calls first, in a copy of the repository's top."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

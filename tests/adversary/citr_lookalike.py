@@ -4,8 +4,6 @@ A look-alike is described in the world frame (cart North on x = 0, pedestrian Ea
 and then turned, mirrored and moved into a frame of the dataset's kind.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Compiled functions belong to a module: the planner's cache knows them by it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, NamedTuple

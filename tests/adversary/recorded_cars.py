@@ -1,7 +1,5 @@
 """Cars to be learned, and logs of them."""
 
-from __future__ import annotations
-
 import numpy as np
 from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior
 from skd_adversary.car_models.observations import Observations, observe

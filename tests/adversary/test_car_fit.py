@@ -1,7 +1,5 @@
 """Cars whose parameters are known are learned from their logs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

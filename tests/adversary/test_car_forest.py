@@ -1,7 +1,5 @@
 """Cars that no law explains, learned by a forest of what they did."""
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The crossing as a POMDP, composed of its parts, and the adversary that plans in it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

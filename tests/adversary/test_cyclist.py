@@ -1,7 +1,5 @@
 """The cyclist: a box that rides where it points, and whose recordings are checked by what it can do."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

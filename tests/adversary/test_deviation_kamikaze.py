@@ -1,7 +1,5 @@
 """Kamikazes that deviate as little as they can, by deviation or Fréchet distance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

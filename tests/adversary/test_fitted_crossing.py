@@ -1,7 +1,5 @@
 """The crossing with a fitted car: with the basic car's numbers it is the basic car's crossing."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

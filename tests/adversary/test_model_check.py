@@ -1,7 +1,5 @@
 """A model's mistakes are named before anything is planned on it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The planner and its belief."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

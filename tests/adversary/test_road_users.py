@@ -1,7 +1,5 @@
 """Road users keep to the documented limits of their kind, by an oracle that shares nothing with their models."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

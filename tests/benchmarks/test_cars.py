@@ -1,7 +1,5 @@
 """The cars by which figures are judged: enough of them, each alike every time it runs, and what their laws say."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

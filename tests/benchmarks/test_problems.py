@@ -1,7 +1,5 @@
 """The models of the planning benchmark against hand-computed cases, frequencies and other code."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

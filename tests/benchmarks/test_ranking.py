@@ -1,7 +1,5 @@
 """The truths of the ranking benchmark, and how it counts: against closed forms, shapely and counts by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

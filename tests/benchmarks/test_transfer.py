@@ -1,7 +1,5 @@
 """The benchmark of several worlds: its φ, worlds and table, and Kendall's τ of two of them."""
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

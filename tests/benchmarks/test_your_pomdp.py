@@ -1,7 +1,5 @@
 """The code of docs/extending.md, run as it stands, against the optimum of its problem."""
 
-from __future__ import annotations
-
 import math
 import sys
 import types

@@ -6,8 +6,6 @@ neither run nor parsed fails. Of commands that differ by their sizes alone the f
 others; those whose output the documentation shows are run as they stand, and have to say what is shown.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
@@ -173,7 +171,7 @@ def calls(shell: Sequence[Block], folder: Path) -> dict[Block, list[Call]]:
 
 NOT_RUN = {  # of a command as it stands: why it is not run here
     r"git clone|sudo apt|.* -m pip |pip-audit|cyclonedx-py|colcon|docker": "changes the machine, or needs the network",
-    r"ros2": "needs a sourced ROS 2: tests/packaging/test_launch_files.py has it where there is one",
+    r"ros2": "needs a sourced ROS 2: tests/packaging/test_files.py has it where there is one",
     r".* --graph": "four processes: tests/graph/test_vendor_controller.py runs those that need no stack of others",
     r"tmux": "of terminals: tests/graph/test_vendor_controller.py has them without tmux",
     r"scripts/(run-node|assess-controller|replay-logs)": "the same",

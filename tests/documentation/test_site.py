@@ -1,7 +1,5 @@
 """The documentation as a site: built without a warning, complete, and asking nobody for anything."""
 
-from __future__ import annotations
-
 import ast
 import html
 import os

@@ -1,7 +1,5 @@
 """What the tests of the command line share: a controller's file, a process of `skd`, and what an error looks like."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

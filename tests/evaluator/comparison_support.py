@@ -1,7 +1,5 @@
 """Figures that made-up results have in common: of 1 m of planned deviation, in `crossing`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from skd_sim.scenario.scenario import load_scenario

@@ -1,7 +1,5 @@
 """A folder to run `skd` in, and `skd` in the tests' own process."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -4,8 +4,6 @@ Everything that the world asks of the car's dynamics is written down: where the 
 contact, too. Who was touched first, where and how fast is then looked up moment by moment.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Results that somebody changes, and whose manifest is kept, written anew as a forger would, or removed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A Dask cluster on this machine: a scheduler and workers in processes of their own, on ports that are free."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Results that tests of reports and pictures of episodes read: a small sweep, and one with names that are code."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Episodes and steps of the world that tests of both searches for the margin share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Static tests of a controller, run one by one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

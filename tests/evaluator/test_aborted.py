@@ -1,7 +1,5 @@
 """What aborted episodes may hide: of which figures they are, what these would be at worst, and what no gate passes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

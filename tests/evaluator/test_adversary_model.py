@@ -1,7 +1,5 @@
 """What the adversary knows of the car: said once, never mixed; and a car that is learned before it is rated."""
 
-from __future__ import annotations
-
 import datetime
 import json
 from collections.abc import Iterator, Sequence

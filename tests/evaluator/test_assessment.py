@@ -1,7 +1,5 @@
 """Several objectives over the same φ: what is shared, what is at the top, and what is on disk."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

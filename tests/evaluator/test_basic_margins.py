@@ -1,7 +1,5 @@
 """What the equivalent multiplier is read off: which basic cars are asked for, in which trials, and what is kept."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

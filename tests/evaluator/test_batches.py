@@ -1,7 +1,5 @@
 """A policy that answers many episodes at once: the same bits as one by one, and both forms have to be one car."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

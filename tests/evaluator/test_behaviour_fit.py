@@ -1,7 +1,5 @@
 """Behaviour models that are fitted: simulated people are found again, and people held out are predicted."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

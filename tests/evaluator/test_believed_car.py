@@ -1,7 +1,5 @@
 """What a kamikaze believed of the car: recorded tick by tick, read back, drawn; its trajectory is the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from skd_adversary.adversary import make_adversary

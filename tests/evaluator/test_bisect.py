@@ -1,7 +1,5 @@
 """Which commit made a car worse: the test of a revision, and the command on a repository with a known answer."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Campaigns and assessments: what counts, that it repeats, and that what is on disk gives the same figures again."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """skd campaign: cells, failures, interrupts and resumption."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """The file of a campaign: what it comes to, and that a mistake is one line that says where it is."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

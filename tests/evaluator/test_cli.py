@@ -1,7 +1,5 @@
 """The command line as its user meets it: a process with arguments, an exit code and what it prints."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json

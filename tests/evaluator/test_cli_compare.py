@@ -1,7 +1,5 @@
 """Curve and comparison as their user meets them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """`skd probe`, `skd fit` and `--car-model` as their user meets them."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

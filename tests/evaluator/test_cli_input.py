@@ -1,7 +1,5 @@
 """Input of a command: what stays as it was, and what is refused."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Two cars are compared on the trajectories that were found for either: no search is less lucky than the other."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace

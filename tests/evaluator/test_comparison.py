@@ -1,7 +1,5 @@
 """Verdicts of `skd compare`, of results whose figures are given."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Cars that decide more often than the adversary: the closed loop by all its pacings, its floor and its recordings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Campaigns on a Dask cluster: the same to the bit; what is unlike, dies or is out of reach is one line."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """Deviation and distances: by hand, and their properties."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

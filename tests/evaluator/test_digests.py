@@ -5,8 +5,6 @@ CHANGELOG.md what changes. Anything else leaves it alone. The digests are those 
 processor or another mathematical library may round otherwise, as may another release of numba.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """The smallest trial that tells two versions of a car apart, and its files: one car hits in it, the other does not."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`skd doctor`: what is there, what is missing and for what."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`skd drive` in process: what keys do, what is drawn, and that an episode is what it is without anybody watching."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

@@ -1,7 +1,5 @@
 """How an assessment counts episodes that end otherwise: endings, other road users, seldom settings."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

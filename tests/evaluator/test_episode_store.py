@@ -1,7 +1,5 @@
 """Stored episodes: without loss to the last bit, believed only where they are what was put, there after any death."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal

@@ -1,7 +1,5 @@
 """The equivalent multiplier and the vulnerability curve."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The exact margin against brute force through the real world, a plain search, and kamikazes that were run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Extensions can be deleted: the rest neither imports nor needs them."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The most likely failures: why they happen, how near they are to how people walk, and that none can be made up."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

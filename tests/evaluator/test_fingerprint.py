@@ -1,7 +1,5 @@
 """Where a result comes from: hashes of the car's files, and its provenance."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What skd fuse computes and plans, against closed forms and draws."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

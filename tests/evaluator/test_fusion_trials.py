@@ -1,7 +1,5 @@
 """Physical trials from tables, tracks and bags: what is measured in them, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 import runpy

@@ -1,7 +1,5 @@
 """The gate: which conditions hold, what continuous integration is told, and that a wrong name is said at once."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator, Sequence

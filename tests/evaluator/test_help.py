@@ -1,7 +1,5 @@
 """The command line: help, a light start."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import re

@@ -1,7 +1,5 @@
 """`skd list`: results under a folder, and a car from result to result."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Assessments from Python: the same numbers as the command line's."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Simulators of users, right ones and such as break the contract."""
 
-from __future__ import annotations
-
 import math
 import os
 import random

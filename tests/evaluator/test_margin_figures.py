@@ -1,7 +1,5 @@
 """What the adversary of the margin can do, its mean, interval and curve, and margins on disk."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

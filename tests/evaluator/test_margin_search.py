@@ -1,7 +1,5 @@
 """The margin that the search finds: against brute force, the exact margin, and for cars and roads of all kinds."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Sequence

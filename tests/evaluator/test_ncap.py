@@ -1,7 +1,5 @@
 """Euro NCAP: the command, and its result in assessments."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Matrices, colours and points against Euro NCAP's own calculator, where the extra `ncap` is installed."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import random

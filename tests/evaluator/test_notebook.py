@@ -1,7 +1,5 @@
 """Results in a notebook: a table of figures, of episodes, and arrays of trajectories."""
 
-from __future__ import annotations
-
 import html.parser
 import sys
 

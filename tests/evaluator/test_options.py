@@ -1,7 +1,5 @@
 """The table of options: what one entry gives, and that what is written is what is read."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

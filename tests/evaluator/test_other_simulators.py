@@ -1,7 +1,5 @@
 """Another simulator than SKD's own: margin and risk by whole episodes, its own contacts, what it says of the car."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What others wrote: files that never begin or end, values where they cannot be."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -1,7 +1,5 @@
 """Nobody walks through what is parked: not kamikazes, whatever they know, nor the margin trajectories, nor φ."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures are written for every kind of assessment, in a size that a page can show."""
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 from pathlib import Path

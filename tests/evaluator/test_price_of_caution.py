@@ -1,7 +1,5 @@
 """The price of caution: closed forms of its figures, and cars of which it is known."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

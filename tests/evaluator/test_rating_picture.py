@@ -1,7 +1,5 @@
 """The picture of a rating, and tables of many cars."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """From episodes.npz and docs/files.md alone: scripts of one page each give every figure of assessment.json again."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

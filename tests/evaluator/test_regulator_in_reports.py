@@ -1,7 +1,5 @@
 """The regulator's grids in the report of a campaign: which cells, which colours, what stands out."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Whether a car repeats itself and drives: what does not is named, what does is not."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

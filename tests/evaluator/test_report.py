@@ -1,7 +1,5 @@
 """The report without a browser: what the file holds, that it is the results', and that no name of anybody's is code."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import itertools

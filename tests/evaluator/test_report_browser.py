@@ -1,7 +1,5 @@
 """The report in a headless Chromium: figures are drawn, the table sorts and filters, the player moves."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Risks of two cars, and touches that count."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

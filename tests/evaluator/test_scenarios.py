@@ -1,7 +1,5 @@
 """Episodes on a curved road and with a box for an adversary: run, judged, stored, recomputed, drawn."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`skd scenarios`: names, pictures, files of one's own, campaigns of test speeds; and assessing on regulatory φ."""
 
-from __future__ import annotations
-
 import argparse
 import json
 

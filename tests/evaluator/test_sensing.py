@@ -1,7 +1,5 @@
 """Controllers that perceive: who gets scans, which ones, and what is said where there are none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

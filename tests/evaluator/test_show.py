@@ -1,7 +1,5 @@
 """`skd report --format png`: one episode as a picture or a film, drawn where it happened."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

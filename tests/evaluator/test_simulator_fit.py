@@ -1,7 +1,5 @@
 """Calibration of the simulator: against least squares and jackknife done otherwise, and trials of a known car."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Single files that a user names: what is no file is never replaced, a link leads on, and nothing is half-written."""
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

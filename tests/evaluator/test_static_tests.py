@@ -1,7 +1,5 @@
 """A regulator's static tests against the closed form of a car with textbook braking."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Means, intervals and differences over clusters, and how many trials a width takes: against closed forms and draws."""
 
-from __future__ import annotations
-
 import json
 import math
 

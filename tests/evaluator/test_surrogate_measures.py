@@ -1,7 +1,5 @@
 """Surrogate safety measures against closed forms, another library's geometry, and dense sampling."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a command prints, and the table of figures."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

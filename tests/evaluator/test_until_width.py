@@ -1,7 +1,5 @@
 """Assessments until an interval is narrow, and batches."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

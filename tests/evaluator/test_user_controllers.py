@@ -1,7 +1,5 @@
 """Assessments of a user's controller that fails: one line says what and where, and no process is left behind."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

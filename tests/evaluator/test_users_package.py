@@ -1,7 +1,5 @@
 """A package of a user's own, installed beside SKD, adds one of each kind of thing that is chosen by name."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

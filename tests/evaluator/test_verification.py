@@ -1,7 +1,5 @@
 """Results are what was written, as their manifest says, and `skd verify` computes their figures again."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

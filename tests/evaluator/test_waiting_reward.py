@@ -1,7 +1,5 @@
 """How long kamikazes wait for a learned car is what they come to with it, tried against the car."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence

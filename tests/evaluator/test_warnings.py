@@ -1,7 +1,5 @@
 """What a reader should know before believing the figures is said; names are shown as they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

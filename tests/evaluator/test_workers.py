@@ -1,7 +1,5 @@
 """Items dealt out over workers: in order, none lost, none twice, bounded, whatever becomes of the workers."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """CommonRoad's reactive planner as a car: it brakes and starts again, and keeps nothing but what the car keeps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from skd_sim.controllers.protocol import Controller

@@ -1,7 +1,5 @@
 """Example controllers: the Intelligent Driver Model, and a car that evades."""
 
-from __future__ import annotations
-
 import math
 import shlex
 import sys

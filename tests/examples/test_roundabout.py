@@ -1,7 +1,5 @@
 """The package of examples/roundabout beside SKD: its road, and its e-scooter, which rides by its own limits."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

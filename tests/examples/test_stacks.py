@@ -1,7 +1,5 @@
 """The examples that run stacks of others: what their files say fits together, and fits what SKD publishes."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import xml.etree.ElementTree as ET

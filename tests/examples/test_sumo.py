@@ -1,7 +1,5 @@
 """SUMO's drivers: against SUMO's own loop, whom they see, where they stop, and whether they keep apart."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

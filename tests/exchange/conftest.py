@@ -1,7 +1,5 @@
 """A small result to export, and `skd` in the tests' own process."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the tests of exchanged files share: episodes of any scenario without a simulation, and a checker's verdict."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """CommonRoad: its own library, and its own schema, take every file; and find the states that were in it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Forms of tracks in files of others: each is read with its values, or named with the reason; none spoils another."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

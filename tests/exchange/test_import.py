@@ -1,7 +1,5 @@
 """Ways that come in: what went out comes back, look-alikes of data sets and bags are placed, what is wrong is said."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """OpenSCENARIO: ASAM's checker takes every file, other readers find the ways in it, and the road is the scenario's."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

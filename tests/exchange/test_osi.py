@@ -1,7 +1,5 @@
 """ASAM OSI: traces that ASAM's own reader opens, with the states and the metadata that have to be in them."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterator

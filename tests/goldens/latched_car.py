@@ -1,7 +1,5 @@
 """A car with state."""
 
-from __future__ import annotations
-
 import numpy as np
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import AdversaryState, CarState

@@ -5,8 +5,6 @@ for one kind of machine: another processor, mathematical library or release of n
 means to change figures writes both anew, and says what changes: `python tests/goldens/test_goldens.py --write`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

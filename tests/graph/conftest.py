@@ -1,7 +1,5 @@
 """Fixtures of the tests of the graph. Campaigns are recorded once and read by many tests."""
 
-from __future__ import annotations
-
 import os
 import sys
 import uuid

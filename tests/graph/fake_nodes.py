@@ -1,7 +1,5 @@
 """Small nodes of somebody else's: plain rclpy and standard messages, nothing of this project."""
 
-from __future__ import annotations
-
 import importlib
 import signal
 import sys

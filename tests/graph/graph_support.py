@@ -1,7 +1,5 @@
 """What the tests of the graph share: domains, processes that leave nothing behind, the command line."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

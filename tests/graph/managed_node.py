@@ -1,7 +1,5 @@
 """A car under test that is a managed node, plain rclpy: once it has braked it brakes until it is cleaned up."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the graph is told of an assessment is what assessment.json says."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Bags of a graph, and their recorder."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

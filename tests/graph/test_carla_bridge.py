@@ -3,8 +3,6 @@
 What it cannot show is how CARLA itself behaves; docs/scenarios.md says what has not been run.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import importlib

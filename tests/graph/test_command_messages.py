@@ -1,7 +1,5 @@
 """Commands in messages of any type: the number at a path is what was put there, and what is wrong is said in a line."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

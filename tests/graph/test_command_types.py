@@ -1,7 +1,5 @@
 """A car whose messages SKD has never seen: from a folder of .msg files to the command line, the car and the bag."""
 
-from __future__ import annotations
-
 import dataclasses
 import shlex
 import sys

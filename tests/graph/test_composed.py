@@ -1,7 +1,5 @@
 """Simulator and adversary in the evaluator's process: the same bits and messages, the same ends."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools

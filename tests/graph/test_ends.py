@@ -1,7 +1,5 @@
 """Programs that are interrupted before they have begun, and ends that hang: all end in time."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Which episode a state belongs to, in whatever order topics deliver."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """The graph gives what the plain loop gives, to the last bit."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shlex

@@ -1,7 +1,5 @@
 """The evaluator as a process of its own, as launch files and containers start it: parameters in, exit code out."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import signal

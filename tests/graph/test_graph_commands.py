@@ -1,7 +1,5 @@
 """Commands that run a graph: what a campaign that came to nothing says, resuming, repeatability, driving by keys."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import signal

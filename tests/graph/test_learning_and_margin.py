@@ -1,7 +1,5 @@
 """The margin of a node of somebody else's, and what an adversary learns of it: as of the same law in process."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shlex

@@ -1,7 +1,5 @@
 """Single nodes: pacing, kinds of commands, parameters, and nodes and commands that are wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import math

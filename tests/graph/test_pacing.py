@@ -1,7 +1,5 @@
 """Stacks that do not answer message by message: what real time says of them, and lockstep by the clock alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import shlex

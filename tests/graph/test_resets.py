@@ -1,7 +1,5 @@
 """How a stack gets to know of a new episode: its start pose, its lifecycle, or a restart."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools

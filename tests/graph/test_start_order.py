@@ -1,7 +1,5 @@
 """Nodes come and go in any order; no episode hangs, and no process is left behind."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

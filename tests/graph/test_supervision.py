@@ -1,7 +1,5 @@
 """Processes that cannot start or hang, and states that are lost or contradict the world."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

@@ -1,7 +1,5 @@
 """The commands of docs/ros2_stack.md and docs/logs.md, as they stand there, with the example controller."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

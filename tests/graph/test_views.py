@@ -1,7 +1,5 @@
 """What RViz and Foxglove are shown is published, as the type that they show, and is where the simulation has it."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

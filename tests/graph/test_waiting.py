@@ -1,7 +1,5 @@
 """Why a command does not come: each cause against a graph in which the fault was made."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """What any stack can hear: frames that hang together, rates, quality of service, and that nothing is made in vain."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import defaultdict

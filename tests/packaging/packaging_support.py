@@ -1,7 +1,5 @@
 """What the tests of packages, launch files and scripts share."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import re

@@ -1,7 +1,5 @@
 """The action rates a car as a workflow would, and the examples for continuous integration name only what exists."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Files of the repository, launch files included."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

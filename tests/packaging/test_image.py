@@ -5,8 +5,6 @@ sourced, this environment's takes the place of /opt/ros/jazzy. Packages of Pytho
 alone is installed, by the steps themselves.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json

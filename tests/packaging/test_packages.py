@@ -1,7 +1,5 @@
 """package.xml, setup.py and the parameter files say what the code says."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

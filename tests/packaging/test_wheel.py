@@ -3,8 +3,6 @@
 `scripts/release` does more, which needs a network: it installs the wheel into an empty environment.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

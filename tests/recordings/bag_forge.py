@@ -4,8 +4,6 @@ Messages are made from the definitions by rosbags and files by the mcap package'
 code that reads them is used to make them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable, Iterable, Sequence

@@ -1,7 +1,5 @@
 """Logs of a small campaign, recorded in process; `skd` on recordings of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the tests of recordings share: safe trajectories, campaigns, and how `skd replay` ended."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

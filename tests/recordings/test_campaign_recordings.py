@@ -1,7 +1,5 @@
 """Recordings of campaigns: two objectives, a learned car, episodes that are missing, and what is said of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a recording says and its own states contradict: refused by name, or left out and counted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Replay accounts for all that it was given, damaged results included."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Recordings that are right although SKD's own world in lockstep did not make them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Each reader gets damaged files: bytes flipped, cut, put elsewhere; a word replac
 exception that is no error of the user leaves `run_skd`, and fails the test.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

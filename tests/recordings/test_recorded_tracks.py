@@ -1,7 +1,5 @@
 """Tracks of recordings: the same however a drive was stored, and no hole, leap or clock without a word."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Files that are damaged, cut short, or none of MCAP: what of them counts is right, and the rest is named."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator
 from functools import cache

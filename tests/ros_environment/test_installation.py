@@ -1,7 +1,5 @@
 """ROS 2 and a user's messages: when they are added, in which order they are built, and what is said where not."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

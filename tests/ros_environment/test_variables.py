@@ -1,7 +1,5 @@
 """Who gets the path of the wheels' libraries: every program of ours, and nobody else."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

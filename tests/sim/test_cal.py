@@ -1,7 +1,5 @@
 """CAL: it stops for hazards, its perception, and its shipped network."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from importlib import resources

@@ -1,7 +1,5 @@
 """CARLA's agent, and what is handed to and from its simulator."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Controllers: the basic one, and a user's, which loads or is wrong in one line."""
 
-from __future__ import annotations
-
 import fractions
 import sys
 from pathlib import Path

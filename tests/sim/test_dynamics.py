@@ -1,7 +1,5 @@
 """The multi-body car: published stopping distances, energy, load transfer, and CommonRoad's own right-hand side."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

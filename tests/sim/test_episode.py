@@ -1,7 +1,5 @@
 """States, commands and the record of an episode."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """An episode that is watched frame by frame means by a contact, a tick and an end what the world means by them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A user's files: regular ones of limited size; JSON, XML and YAML that cannot be used are said in one line."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A signal that comes in what machine code calls is not lost, and ends nothing by SIGSEGV."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

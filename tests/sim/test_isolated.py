@@ -1,7 +1,5 @@
 """Code of others runs in a child process: it may crash, hang, print or leave processes, and costs one piece of work."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import faulthandler

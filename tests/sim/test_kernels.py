@@ -1,7 +1,5 @@
 """Compiled code that is kept is that of the sources; what it draws is numpy's; and arithmetic has a digest."""
 
-from __future__ import annotations
-
 import enum
 import math
 import os

@@ -1,7 +1,5 @@
 """The rules of lockstep: what drives a tick, what ends an episode and why; without ROS and without waiting."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass, field

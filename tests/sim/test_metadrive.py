@@ -3,8 +3,6 @@
 Skipped where MetaDrive is not installed; where it is: `scripts/test tests/sim/test_metadrive.py`.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -1,7 +1,5 @@
 """What of the adapter to MetaDrive needs no MetaDrive: its pedals' arithmetic, and what it says where there is none."""
 
-from __future__ import annotations
-
 import importlib.metadata
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Roads and lanes."""
 
-from __future__ import annotations
-
 import copy
 import math
 from typing import Any

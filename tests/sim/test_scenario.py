@@ -1,7 +1,5 @@
 """Scenarios of files and mappings: what is read is what was written, and a mistake is one line."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

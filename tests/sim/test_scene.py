@@ -1,7 +1,5 @@
 """Parked rectangles and the others of a scenario: where they are, who sees them, and what they block."""
 
-from __future__ import annotations
-
 import copy
 import math
 from dataclasses import replace

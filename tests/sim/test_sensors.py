@@ -1,7 +1,5 @@
 """The laser, and the car's description for other programs."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace

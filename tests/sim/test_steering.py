@@ -1,7 +1,5 @@
 """A car that steers: closed forms, a simulation in steps of 1 ms, and the same states however it is run."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The world: contacts and noise, curved roads, limits of commands, and cars that decide between ticks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

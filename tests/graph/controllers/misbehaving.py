@@ -1,7 +1,5 @@
 """Controllers under test that do, once per campaign, what a controller should not."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -8,7 +8,7 @@ half of its way behind it. Where it was follows from its speed. After a contact 
 drives in that time is missing from the tick's way. Of a car with tyres neither part goes straight: by what the way is
 longer or shorter than both together, each of them is. A simulator that ends its tick with the contact leaves the way
 up to there alone. Held against what the world itself did, places are right to 4 mm of cars without tyres, and to 7 mm
-of cars with them (tests/evaluator/test_risk_touches.py); in 28,000 crossings with ticks of up to 0.5 s and cars that
+of cars with them (tests/evaluator/test_risk_comparison.py); in 28,000 crossings with ticks of up to 0.5 s and cars that
 command something else in every period, to 7 cm.
 
 Required deceleration at entry: how hard a car would have had to brake when who is hit came into its way.
