@@ -62,7 +62,6 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
 
     It is empty where the program ends without one; a program that says nothing for too long is killed.
     """
-    assert process.stdout is not None
     killer = threading.Timer(PATIENCE, process.kill)
     killer.start()
     try:

@@ -39,9 +39,6 @@ _FIRST = (
 )  # fmt: skip
 
 
-# --- in the test's process
-
-
 class ForkedSkd:
     """A running command, as `subprocess.Popen` would be that captures its output as text."""
 
@@ -94,18 +91,13 @@ def _server() -> str:
     )  # fmt: skip
 
     def end() -> None:
-        assert process.stdin is not None
         process.stdin.close()  # for whose end the server waits
         process.wait()
         folder.cleanup()
 
     atexit.register(end)
-    assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n", "the server of forked commands could not start"
     return address
-
-
-# --- in the server, and in what it forks
 
 
 def _serve(address: str) -> int:

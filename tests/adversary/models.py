@@ -16,8 +16,6 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.contact import first_contact
 
-# --- Tiger, with discrete hearing or with Gaussian hearing of ±1
-
 
 @kernel
 def gaussian_observe(parameters, state, action, heard, rng):
@@ -36,9 +34,6 @@ def tiger(*, gaussian: bool = False, **parameters: float) -> Pomdp:
     if not gaussian:
         return model
     return replace(model, name="test_tiger_gaussian", observe=gaussian_observe, likelihood=gaussian_likelihood)
-
-
-# --- A walker on a ring of cells, seen through Gaussian noise; it stops (terminal) with some probability in cell 0
 
 
 class RingParameters(NamedTuple):
@@ -98,9 +93,6 @@ def ring(**parameters: Any) -> Pomdp:
         rollout_action=ring_rollout,
         reinvigorate=ring_reinvigorate,
     )
-
-
-# --- an episode of the crossing
 
 
 class Walk(NamedTuple):

@@ -22,9 +22,6 @@ def estimate(car: FittedCar, name: str) -> float:
     return value
 
 
-# --- densities and intervals
-
-
 @pytest.mark.parametrize(("a", "b"), [(0.4, 0.1), (0.1, 0.4), (0.2, 0.2), (0.3, 1e-4)])
 def test_sum_of_two_uniforms_is_scipys_trapezoid(a, b):
     z = np.linspace(-0.6, 0.6, 401)
@@ -43,9 +40,6 @@ def test_half_width_interval_is_exact():
     assert low <= covered <= high
 
 
-# --- the basic car
-
-
 @pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
 def test_basic_car(multiplier):
     car = fit_with_law(logs_of(BasicController(multiplier), 250, seed=3))[0]
@@ -58,7 +52,6 @@ def test_basic_car(multiplier):
     assert estimate(car, "reaction_delay") == 0.0
     assert estimate(car, "cruise_speed") == pytest.approx(SCENARIO.car.start_speed)
     assert set(car.parameters) == set(PARAMETERS) - set(OPTIONAL)
-    assert car.calibration is not None
     assert car.calibration.p_value > 1e-3
     best = max(car.families, key=lambda row: -math.inf if row.held_out is None else row.held_out)
     row = next(row for row in car.families if row.name == "distance")
@@ -66,9 +59,6 @@ def test_basic_car(multiplier):
     assert row.held_out is not None
     assert row.held_out > best.held_out - 20.0
     assert row.aic == pytest.approx(2 * row.parameters - 2 * row.log_likelihood)
-
-
-# --- other cars
 
 
 def test_time_to_collision_car():
@@ -108,9 +98,6 @@ def test_speeding_up_is_limited():
     assert estimate(car, "trigger") == pytest.approx(KAPPA, rel=0.03)
 
 
-# --- calibration
-
-
 def test_integral_transform_tells_a_right_model_from_wrong_ones():
     data = logs_of(BasicController(1.0), 80, seed=9)
     change = SpeedChange(0.05, 3.5, 0.1)
@@ -130,9 +117,6 @@ def test_kolmogorov_smirnov_is_scipys():
     reference = stats.kstest(values, "uniform")
     assert statistic == pytest.approx(reference.statistic)
     assert p_value == pytest.approx(reference.pvalue, rel=0.05)
-
-
-# --- what cannot be known
 
 
 @pytest.mark.parametrize(

@@ -131,9 +131,6 @@ def test_what_nobody_can_have_done(tmp_path, name, change, said):
     assert "\n" not in str(caught.value)
 
 
-# --- the recordings themselves, which do not come with the project
-
-
 @pytest.fixture(scope="module")
 def recorded() -> list[Clip]:
     default = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "citr_vci_lat_uni"

@@ -195,9 +195,6 @@ def test_reinvigoration_keeps_the_adversary_and_agrees_with_the_observation(stat
     assert stats.kstest(distance - far, "norm").pvalue > 1e-3
 
 
-# --- an objective of one's own: to stand on x = −2 and wait
-
-
 @template
 def _begin(parameters: Any, state: FloatArray) -> None:
     state[ROW] = 0.0

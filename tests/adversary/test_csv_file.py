@@ -88,9 +88,6 @@ def test_sources_file_and_folder(tmp_path: Path) -> None:
         load_safe_trajectories(str(tmp_path), SCENARIO, 2)
 
 
-# --- walks that no pedestrian walks
-
-
 @pytest.mark.parametrize(
     ("rows", "message"),
     [

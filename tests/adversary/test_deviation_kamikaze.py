@@ -46,7 +46,6 @@ def a_kamikaze(path: Trajectory, number: int, **fields: object) -> EpisodeSpec:
 def strayed(log: EpisodeLog) -> float:
     """The deviation of an episode's ψ, by the measure."""
     phi = log.episode.safe_trajectory
-    assert phi is not None
     return deviation(phi.positions, log.trajectory.positions, log.impact_time / log.episode.scenario.time_step)
 
 

@@ -84,9 +84,6 @@ def test_what_is_uncertain_is_drawn_from_its_prior():
     assert decelerations.std() == pytest.approx(0.5, rel=0.1)
 
 
-# --- on disk
-
-
 def test_round_trip(tmp_path):
     car = a_car(trigger=ParameterPrior("uniform", 8.0, 10.0), deceleration=ParameterPrior("normal", 4.0, 0.5))
     car.parameters["cruise_gain"] = CarParameter(

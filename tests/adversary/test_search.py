@@ -68,7 +68,6 @@ class ReadableSearch:
         return -max(tried)[1]
 
     def advance(self, action: int, observation: Any) -> None:
-        assert self.root is not None
         arm = self.root.arms[action]
         if not arm.children or not self.options.keep_tree:
             self.root = None
@@ -308,7 +307,6 @@ def test_every_visit_and_every_mean_is_that_of_the_readable_search(name: str, op
     for decision in range(3):
         action = planner.plan(belief)
         assert action == readable.plan(belief)
-        assert readable.root is not None
         assert planner.visits.tolist() == [arm.visits for arm in readable.root.arms]
         assert planner.values.tolist() == [float(arm.mean) for arm in readable.root.arms]
         assert planner.model_steps == readable.steps

@@ -21,9 +21,6 @@ def step(model: Pomdp, state: list[float], action: int) -> tuple[float, bool, li
 SIGMAS = 4.5  # binomial bounds: 7e-6 each, a few hundred of them
 
 
-# --- RockSample
-
-
 def _rover(size: int, count: int, x: int, y: int, bits: int, chance: float = 0.5) -> list[float]:
     return [float(x + size * y), float(bits), 0.0, *([chance] * count)]
 
@@ -60,9 +57,6 @@ def test_advantage_is_what_an_action_gains_over_the_default_policy(action: int) 
         advantages.add(round(planned.step(planned.parameters, state, action, after, rng)[0], 9))
     assert len(advantages) == 1  # whatever the rocks are and whatever is read
     assert abs(gains.mean() - advantages.pop()) <= SIGMAS * gains.std(ddof=1) / math.sqrt(count) + 1e-9
-
-
-# --- all of them
 
 
 def test_planner_on_rock_sample_4_4(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -349,14 +349,7 @@ def parse(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
-def test_commands(
-    document: str,
-    called: dict[Block, list[Call]],
-    checkout: Path,
-    results: dict[str, Path],
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-):
+def test_commands(document, called, checkout, results, monkeypatch, capfd):
     monkeypatch.chdir(checkout)
     monkeypatch.setenv("COLUMNS", "120")  # as in the documentation, and wherever the test is run
     for block in [one for one in SHELL if one.document == document]:

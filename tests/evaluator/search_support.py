@@ -56,7 +56,6 @@ def any_touch(episode: EpisodeSpec) -> EpisodeSpec:
 
 def touching(walked: list[tuple[float, float]], contact: Contact | None) -> np.ndarray:
     """Return the hit up to the place of a contact in its last tick."""
-    assert contact is not None
     before, after = walked[-2:]
     (x, y), (x_to, y_to) = before, after
     return np.array([*walked[:-1], (x + contact.fraction * (x_to - x), y + contact.fraction * (y_to - y))])

@@ -81,10 +81,8 @@ def test_the_worst_is_what_the_same_episodes_give_with_hits(mode: Mode, name: st
     if along != (mode == Mode.REPLAY):
         assert told is None
     elif along:
-        assert told is not None
         assert told.value == of(worst) == pytest.approx(4 / 40)
     else:
-        assert told is not None
         assert told.value == of(worst) == 1.0
 
 
@@ -94,7 +92,6 @@ def test_the_worst_of_a_risk_is_that_with_hits() -> None:
     hits = with_risk(*(Touch.FRONT if one == Touch.ABORTED else one for one in touches)).as_dict()
     for name in ("risk_1", "risk.scales.0.value"):
         told = at_worst(found, name)
-        assert told is not None
         assert told.value == hits["risk_1"] == 0.5
     assert aborted_lines(found) == [
         "5 of 20 crossings of the risk at scale 1 were aborted and count for nothing; if the car had hit in all of "

@@ -87,9 +87,7 @@ def test_what_does_not_go_together(said: dict[str, object], words: str) -> None:
         ("basic", "", "generic", "generic"),
     ],
 )
-def test_an_episode_says_what_it_was_planned_with(
-    controller: str, car_model: str, said: str | None, implied: str
-) -> None:
+def test_an_episode_says_what_it_was_planned_with(controller, car_model, said, implied):
     """Episodes of before say nothing; and what follows from the rest is not said twice in messages."""
     adversary_model = None if said is None else AdversaryModel(said)
     episode = EpisodeSpec(
@@ -133,7 +131,6 @@ def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lesso
         assert not needs_learning(first)
         assert json.loads(first.car_model)["logs"] == 28
         file = model_file(plan, None)
-        assert file is not None
         assert list(kept_models().iterdir()) == [file]
         assert "--adversary-model generic" in said[0]
         assert str(file) in said[0]

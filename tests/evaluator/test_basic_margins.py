@@ -57,9 +57,7 @@ def folder(tmp_path_factory) -> Path:
 def test_a_basic_car_reads_itself_back(multiplier, folder):
     cache, runner = folder, InProcessRunner(1)
     found, note = equivalent_of(PLAN, SAFE, basic(multiplier, cache, runner), runner, silent, cache)
-    assert found is not None
     assert found.value == pytest.approx(multiplier, abs=0.05)  # in 12 trials some C have the same margins
-    assert found.ci95 is not None
     assert found.ci95[0] <= multiplier <= found.ci95[1]
     assert "basic cars" in note
 
@@ -78,8 +76,6 @@ def test_a_car_that_cannot_be_hit_and_one_that_always_is(folder):
     cache = folder
     above, _ = equivalent_of(PLAN, SAFE, [np.full(4, math.inf)] * 3, InProcessRunner(1), silent, cache)
     below, _ = equivalent_of(PLAN, SAFE, [np.zeros(4)] * 3, InProcessRunner(1), silent, cache)
-    assert above is not None
-    assert below is not None
     assert (above.text, below.text) == ("above 2", "below 0.25")
     assert above.value == math.inf == -below.value
 

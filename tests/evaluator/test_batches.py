@@ -86,7 +86,6 @@ def crossed(policy, safe, count, workers=1, scenario=SCENARIO):
     crossings = crude_crossings(here, count)
     with InProcessRunner(workers, isolated=True) as runner:
         together = batched_car(here, runner)
-        assert together is not None
         return together.run(crossings, 2.0), AnyCar(here, runner).run(crossings, 2.0)
 
 

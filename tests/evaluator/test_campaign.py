@@ -59,9 +59,6 @@ def trial(episode: EpisodeSpec) -> int:
     return episode.episode_id & 0xFFFFFFFF
 
 
-# --- which episodes count
-
-
 def test_episodes_are_drawn_until_enough_have_collided():
     runner = StubRunner(lambda episode: Outcome.COLLISION if trial(episode) % 3 else Outcome.MISSED)
     (found,) = kamikaze_sets(SMALL, [straight()], runner)
@@ -188,9 +185,6 @@ def test_episode_ids_are_unique_and_bounded():
             episode_id(EpisodeGroup.KAMIKAZE, safe_index, number)
 
 
-# --- the same seed
-
-
 def test_sweep_and_assess_give_the_same(tmp_path):
     sizes = ["--safe-count", "1", "--kamikaze-count", "3", "--collision-runs", "4", "--simulations", "50"]
     for command in ("sweep --multipliers 0.5 1.1", "assess --multiplier 1.1"):
@@ -198,6 +192,3 @@ def test_sweep_and_assess_give_the_same(tmp_path):
         assert skd(name, *sizes, *arguments, "--out", tmp_path / name, cwd=tmp_path).returncode == 0
     swept = (tmp_path / "sweep" / SYNTHETIC / "C_1.1" / "episodes.npz").read_bytes()
     assert swept == (tmp_path / "assess" / "episodes.npz").read_bytes()
-
-
-# --- the figures

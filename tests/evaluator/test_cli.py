@@ -36,9 +36,6 @@ def recomputed(arrays: np.lib.npyio.NpzFile) -> tuple[list[float], np.ndarray]:
     return distances, arrays["outcome"][mode == Mode.REPLAY] == Outcome.COLLISION
 
 
-# --- the output folder
-
-
 @pytest.mark.parametrize("out", ["/dev/null/x", "/proc/x", "good.csv", "a" * 300])
 def test_unwritable_output(skd_here, out):
     one_line(skd_here("assess", *SMALL, "--out", out), 2, f"--out {out}")
@@ -77,9 +74,6 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
     assert names(here / "foreign") == ["thesis.txt"]
 
 
-# --- controllers of the user
-
-
 @pytest.mark.parametrize(
     ("name", "workers", "parts"),
     [
@@ -110,9 +104,6 @@ def test_user_controller_is_assessed(here):
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("SKD (m)")]
     assert f"[{low:.3f}, {high:.3f}]" in line
     assert f"{100 * result['kamikaze_success_rate']:.1f} % of trials collide" in line
-
-
-# --- what an assessment can end with
 
 
 def test_no_kamikaze_found(here):
@@ -158,9 +149,6 @@ def test_sweep(here):
         first = rf"^ *{row['multiplier']:.3f} +{row['margin']:.3f} "
         assert re.search(rf"{first}.* {row['skd']:.2f} ± {0.5 * (high - low):.2f}", done.stdout, re.MULTILINE)
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
-
-
-# --- interruption
 
 
 def _living() -> dict[int, int]:

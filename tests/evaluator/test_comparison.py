@@ -322,9 +322,7 @@ def test_who_is_as_safe_and_quicker_is_called_so(shift: float, spread: float, se
     ("faster", "share", "withheld"), [(2.5, 1.0, True), (1.5, 1.0, False), (2.5, 0.98, True), (2.5, 0.8, False)]
 )
 @pytest.mark.parametrize("same", [True, False], ids=["draws", "others"])
-def test_a_car_that_is_hit_much_harder_is_not_called_safer(
-    faster: float, share: float, same: bool, withheld: bool
-) -> None:
+def test_a_car_that_is_hit_much_harder_is_not_called_safer(faster, share, same, withheld):
     rng, pair = np.random.default_rng(7), []
     speeds = 4.0 + rng.random((8, 20)) if same else np.full((8, 20), 4.0)
     harder = speeds + np.where(rng.permutation(160).reshape(8, 20) < 160 * share, faster, 0.0)

@@ -37,9 +37,6 @@ def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> Episod
     )
 
 
-# --- the loop
-
-
 class Watching:
     """Counts what it is asked, and sees."""
 
@@ -73,9 +70,6 @@ def test_the_car_decides_on_true_states_every_control_period_and_the_adversary_e
     velocities = [velocity for _, velocity in simulator.told]
     assert velocities == [velocities[3 * (index // 3)] for index in range(periods)]
     assert len({command for command, _ in simulator.told}) == periods
-
-
-# --- what a controller declares
 
 
 class TenTimesASecond(Watching):
@@ -128,9 +122,6 @@ def test_it_is_not_run_at_other_times_than_it_declares() -> None:
         with pytest.raises(UsageError, match=r"every 0\.1 s, but in scenario crossing a car does so every 0\.3 s"):
             run_episode(replace(episode_of("basic", mode=Mode.REPLAY), scenario=CROSSING), one)
         assert run_episode(episode_of("basic", mode=Mode.REPLAY), one).outcome != Outcome.ABORTED
-
-
-# --- margins and recordings
 
 
 def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:

@@ -131,9 +131,7 @@ def test_without_a_trial_there_is_no_figure() -> None:
     st.lists(st.integers(0, 4), min_size=4, max_size=4),
     st.floats(0.1, 8.0),
 )
-def test_it_is_the_area_above_the_share_that_was_hit(
-    distances: list[list[float]], failed: list[int], eta_max: float
-) -> None:
+def test_it_is_the_area_above_the_share_that_was_hit(distances, failed, eta_max):
     every, hits = of(distances, failed[: len(distances)], eta_max)
     if every.mean is None:
         assert not every.values.size
@@ -203,8 +201,6 @@ def test_rigid_motion_of_the_world_changes_nothing(name, drawn, angle, mirrored,
     after = values(name, world(moved(phi), [moved(one) for one in walks], shares))
     np.testing.assert_allclose(after, before, rtol=0, atol=1e-9)
 
-
-# --- values that are none
 
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6)
 NONE = st.sampled_from([math.nan, math.inf, -math.inf])

@@ -77,8 +77,6 @@ def test_the_margin_found_from_the_east_is_the_exact_one_from_the_west(number: i
     )
     exact = exact_margin(west)
     found = search_margin(east, 512)
-    assert exact is not None
-    assert found is not None
     assert 1.0 - 1e-9 <= found.distance / exact.distance <= 1.02
 
 
@@ -146,9 +144,7 @@ SMALL = (
 )
 
 
-def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(tmp_path, capsys):
     """The search looks no further; it was said that the car answers it otherwise than an episode."""
     (tmp_path / "near.yaml").write_text("extends: crossing_multi_body\nname: near\neta_max: 0.3\n")
     searched = ("--multiplier", 1.5, "--objective", "paper", "--margin-limit", 32)

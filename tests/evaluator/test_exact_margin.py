@@ -40,7 +40,6 @@ class Steps:
         self.world: World = make_world(episode)
         self.controller = BasicController(episode.multiplier)
         self.controller.reset(episode.scenario, np.random.default_rng(0))
-        assert episode.safe_trajectory is not None
         self.phi = episode.safe_trajectory.positions
         draws = generator(episode.seed, episode.episode_id, Role.CAR)
         self.noise = []
@@ -153,7 +152,6 @@ def check_way(episode: EpisodeSpec, found: Hit) -> None:
         else:
             raise AssertionError(f"step {tick} is none of the moves")
         if tick == last:
-            assert contact is not None
             assert contact.speed == pytest.approx(found.impact_speed, abs=1e-9)
             assert contact.speed >= episode.scenario.collision.hit_speed
         car, adversary = step[:2]
@@ -209,7 +207,6 @@ def test_equals_brute_force_over_five_ticks(multiplier, gap, seed):
 def test_equals_a_plain_search_over_whole_episodes(multiplier, seed):
     episode = trial(lattice_path(np.random.default_rng(seed), 8), 40, multiplier, seed)
     found = exact_margin(episode)
-    assert found is not None
     assert found.gap == 0.0
     assert least_by_layers(episode, found.distance + 1e-9) == pytest.approx(found.distance, abs=1e-9)
 
@@ -218,7 +215,6 @@ def test_equals_a_plain_search_over_whole_episodes(multiplier, seed):
 def test_there_is_nothing_below_the_gap_where_every_step_of_phi_is_another(multiplier, seed):
     episode = trial(recorded_like(seed), 30, multiplier, seed)
     found = exact_margin(episode)
-    assert found is not None
     check_way(episode, found)
     assert found.gap <= 0.02 * found.distance
     # Without half speeds there are few enough places for a plain search, and a margin of less moves is no less.
@@ -231,9 +227,7 @@ def test_without_room_for_all_the_gap_holds(monkeypatch, seed):
     known = exact_margin(episode)
     monkeypatch.setattr(exact, "_EFFORTS", ((1 << 10, 1 << 6, True),))
     found = exact_margin(episode)
-    assert known is not None
     assert known.gap == 0.0
-    assert found is not None
     check_way(episode, found)
     assert found.distance - found.gap - 1e-9 <= known.distance <= found.distance + 1e-9
 
@@ -256,7 +250,6 @@ def test_a_car_that_nobody_can_be_hit_by_within_eta_max_has_no_way():
     assert exact_margin(trial(points, 10, hit=30.0)) is None
     far = trial(points, multiplier=1.5, seed=2, eta_max=8.0)
     found = exact_margin(far)
-    assert found is not None
     within = replace(far, scenario=replace(far.scenario, eta_max=0.999 * found.distance))
     assert exact_margin(within) is None
     assert checked(within, 1.001 * found.distance) == found.distance

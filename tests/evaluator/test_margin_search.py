@@ -186,8 +186,6 @@ def test_never_below_the_exact_margin_and_near_it(multiplier):
     for trials in (episodes(multiplier), crooked[:1], crooked[1:]):
         for episode, hit in zip(trials, searched(trials, Effort(32, 256)).hits, strict=True):
             exact = exact_margin(episode)
-            assert exact is not None
-            assert hit is not None
             assert hit.distance >= exact.distance - exact.gap - 1e-9
             reached.append(hit.distance)
             least.append(exact.distance)
@@ -212,7 +210,6 @@ def test_where_phi_itself_is_hit_nothing_else_is_tried():
     assert along.outcome == Outcome.COLLISION
     driver = Driver(BasicController(0.0))
     (hit,) = search_margins([episode], {}, driver.rounds, LITTLE).hits
-    assert hit is not None
     assert hit.distance <= 1e-12
     assert hit.gap == 0.0
     assert hit.impact_speed == pytest.approx(along.impact_speed)
@@ -222,14 +219,12 @@ def test_where_phi_itself_is_hit_nothing_else_is_tried():
 def test_what_kamikazes_did_is_begun_with():
     (episode,) = episodes(1.0, 1)
     exact = exact_margin(episode)
-    assert exact is not None
     positions = exact.trajectory.positions.copy()
     positions[-1] = positions[-2] + (positions[-1] - positions[-2]) / (exact.duration - (len(positions) - 2))
     log = run_episode(prescribed(episode, positions), controller=BasicController(1.0))
     assert log.hit
     driver = Driver(BasicController(1.0))
     (hit,) = search_margins([episode], {episode.episode_id: [log]}, driver.rounds, Effort(1, 1)).hits
-    assert hit is not None
     assert hit.distance <= exact.distance + 1e-9
 
 
@@ -242,7 +237,6 @@ def test_other_cars_and_roads_are_hit_as_the_search_says(controller, scenario):
     known = replace(kamikaze_episode(POINTS), adversary_model=AdversaryModel.GENERIC)
     episode = replace(known, scenario=setting, controller=controller)
     (hit,) = searched([episode], LITTLE).hits
-    assert hit is not None
     assert hit.distance == pytest.approx(deviation(POINTS, hit.trajectory.positions, hit.duration), abs=1e-12)
     assert hit.impact_speed >= setting.collision.hit_speed
 
@@ -251,7 +245,6 @@ def test_a_cyclist_takes_its_own_actions():
     scenario = load_scenario("cyclist")
     points = np.column_stack([np.arange(-10.0, 4.0, 1.2), np.zeros(12)])
     (hit,) = searched([replace(kamikaze_episode(points), scenario=scenario)], LITTLE).hits
-    assert hit is not None
     positions = hit.trajectory.positions
     for tick in range(len(positions) - 2):
         step = (positions[tick + 1] - positions[tick]) / scenario.time_step
@@ -268,7 +261,6 @@ def test_where_nobody_can_be_hit_there_is_no_hit_and_the_mean_is_the_greatest():
 
 def test_of_few_trials_what_the_last_doubling_brought_may_be_missing():
     margins = searched(episodes(1.15, 8), Effort(2, 8, excursions=0))
-    assert margins.search.excess is not None
     assert margins.search.excess.trials == 8
     assert margins.search.excess.mean == pytest.approx(margins.means[-2][1] - margins.means[-1][1])
     assert not margins.search.converged
@@ -299,7 +291,6 @@ def test_a_search_all_of_whose_episodes_are_aborted_is_an_error():
 def test_a_limit_below_the_usual_effort_is_kept():
     with InProcessRunner(1) as runner:
         _, search = minimal_deviations([short(0, 9, 0.1), short(1, 9, 0.1)], {}, runner, lambda *_: None, 8)
-    assert search is not None
     assert search.budget == 8
 
 

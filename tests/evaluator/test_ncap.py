@@ -129,7 +129,6 @@ def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
     rating = assess(scenario="cpfa-50", multiplier=0.9, safe="regulatory", safe_count=1, objective="deviation",
                     kamikaze_count=2, simulations=50, margin_limit=256, collision_runs=1, behaviour="none",
                     workers=1, out=here / "assessed")  # fmt: skip
-    assert rating.margins is not None
     assert cell.margins == tuple(rating.margins.values.tolist())
     assert cell.margin == rating.margins.mean
     (view,) = views_of(read_subjects([here / "assessed"]))  # so its report shows the same cell
@@ -298,13 +297,11 @@ def test_a_margin_that_is_a_bound_says_so(tmp_path):
 
 def test_columns_are_places_or_the_speeds_of_targets():
     head_on = matrix_of("ccfhos")
-    assert head_on is not None
     cells = tuple(NcapCell(speed=one.speed, target=one.target, place=one.place) for one in head_on.points)
     layout = layout_of(Grid("ccfhos", "", cells))
     assert layout.columns == ("25 %", "50 %", "75 %", "100 %")
     assert [label for label, _ in layout.rows][:4] == ["30 (50)", "40 (50)", "50 (50)", "60 (70)"]
     crossing = matrix_of("cccscp")
-    assert crossing is not None
     cells = tuple(NcapCell(speed=one.speed, target=one.target, place=one.place) for one in crossing.points)
     layout = layout_of(Grid("cccscp", "", cells))
     assert layout.columns == tuple(f"{speed} km/h" for speed in range(20, 90, 10))
@@ -321,11 +318,9 @@ def test_every_test_of_the_matrices_can_be_had():
     assert scenarios_of("CPTAfs & CPTAns") == ["cptafs", "cptans"]
     for name in known_scenarios():
         matrix, cells = requested_tests(name, None)
-        assert matrix is not None
         assert cells == [NcapCell.of_point(point) for point in matrix.points]
         for cell in cells[-1:]:
             scenario = scenario_of(name, cell, matrix)
-            assert scenario.protocol is not None
             assert scenario.protocol.speed == pytest.approx((cell.target or 0.0) * KMH)
             assert scenario.car.start_speed == pytest.approx(cell.speed * KMH)
             (one,) = static_tests(scenario, CarUnderTest("basic", 0.0))

@@ -65,7 +65,6 @@ def ours(test: str) -> dict[tuple[str, float, float, float | None], MatrixPoint]
     found = {}
     for name in scenarios_of(test):
         matrix = matrix_of(name)
-        assert matrix is not None
         turn = {"f": "Farside", "n": "Nearside"}[name[4]] if name[1:4] in ("pta", "bta") else ""
         for point in matrix.points:
             found[turn, point.speed, point.target, point.place] = point

@@ -43,9 +43,6 @@ def change_arrays(folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -
     np.savez(path, **arrays)
 
 
-# --- values that cannot be where they are
-
-
 FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
     "multiplier": lambda figures: figures.update(multiplier="abc"),
     "eta_max": lambda figures: figures.update(eta_max=0.0),

@@ -106,9 +106,6 @@ def test_sweep(tmp_path, rows):
     drawn(tmp_path / "sweep.png")
 
 
-# --- what is drawn
-
-
 @pytest.fixture
 def figures(monkeypatch) -> list[Figure]:
     """Every figure that is saved."""

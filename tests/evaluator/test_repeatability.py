@@ -50,9 +50,6 @@ class Runner:
             yield self.logs[-1]
 
 
-# --- the same again
-
-
 class Car:
     """Slows down in some of its episodes, counted from 0, and asks a little more of its brake in some others."""
 
@@ -122,9 +119,6 @@ def test_the_sample_is_spread_over_what_can_be_repeated() -> None:
     assert repeatability("a.b:C", [], nullcontext) == ()  # type: ignore[arg-type]
 
 
-# --- whether it drives
-
-
 class Driven:
     """Runs no car: each drive ends at a speed that is given, or is aborted where that is not a number."""
 
@@ -133,7 +127,6 @@ class Driven:
 
     def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         for episode, last in zip(episodes, self._speeds, strict=True):
-            assert episode.safe_trajectory is not None
             way = episode.safe_trajectory.positions
             speeds = np.linspace(STARTS, last, len(way))
             car = np.column_stack([np.zeros(len(way)), np.cumsum(speeds), np.zeros(len(way)), speeds])
@@ -190,9 +183,6 @@ def test_when_a_car_stands_far_off(log: EpisodeLog, found: bool) -> None:
 def test_a_car_may_have_to_stand_for_others() -> None:
     lorry = Other(kind="lorry", length=6.0, width=2.0, way=(Waypoint(0.0, 1.5, -20.0), Waypoint(9.0, 1.5, -20.0)))
     assert standing("a.b:C", [run([STARTS, 4.0, 0.0], 100.0, replace(CROSSING, others=(lorry,)))]) == ()
-
-
-# --- by the command line
 
 
 CARS = """

@@ -83,9 +83,6 @@ def test_foreign_folder_file_and_current_folder_are_refused(tmp_path, monkeypatc
     assert content(tmp_path) == {"foreign/photo.jpg": ""}
 
 
-# --- the folder is taken
-
-
 def test_what_was_taken_and_not_written_is_given_back(tmp_path):
     out = ResultFolder(tmp_path / "a" / "b" / "out")
     del out

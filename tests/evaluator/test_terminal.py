@@ -109,9 +109,6 @@ def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
     assert equal_remarks([{"name": "a", **unknown}, {"name": "b", **unknown}], "name") == []
 
 
-# --- how far it is
-
-
 def test_a_step_has_one_line_and_then_one_a_minute():
     now, written = [0.0], []
     lines = ProgressLines(lambda label, rest: written.append(label + rest), lambda: now[0])

@@ -41,7 +41,6 @@ def until(wanted: float, plan: Plan = PLAN) -> tuple[Assessment, list[Trajectory
 def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     found, safe = until(1e-9)
     stop = found.until_width
-    assert stop is not None
     assert (len(safe), len(stop.looks), stop.reached) == (2 * LOOKS, LOOKS, False)
     assert [look.safe_count for look in stop.looks] == list(range(2, 2 * LOOKS + 1, 2))
     plan = replace(PLAN, safe_count=2 * LOOKS, collision_runs=2 * 2 * LOOKS)  # two runs along each, rounded up
@@ -72,7 +71,6 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
 
 def test_it_stops_at_the_first_look_that_is_narrow_enough() -> None:
     found, safe = until(10.0)
-    assert found.until_width is not None
     assert found.until_width.reached
     assert len(safe) == 2 * len(found.until_width.looks)
     assert 0.0 < (found.until_width.width or 0.0) <= 10.0
@@ -85,7 +83,6 @@ def test_recorded_phi_come_in_an_order_by_chance_and_end(tmp_path) -> None:
         (tmp_path / f"{number}.csv").write_text("t,x,y\n" + rows)
     plan = replace(PLAN, safe=str(tmp_path), kamikaze_count=1)
     found, safe = until(1e-9, plan)
-    assert found.until_width is not None
     assert found.until_width.most_looks == 2  # of five φ, two at a time
     assert found.until_width.confidence == nominal_confidence(2)
     names = [one.name for one in safe]

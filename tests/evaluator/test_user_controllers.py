@@ -134,9 +134,6 @@ def test_what_a_controller_prints_is_no_part_of_the_result(cars: Path) -> None:
     assert {"loaded", "driving", "another"} <= set(done.stderr.splitlines())
 
 
-# --- processes that it starts
-
-
 def born(folder: Path) -> list[int]:
     """Return the ids of the processes that a controller has started."""
     return [int((folder / name).read_text() or 0) for name in ("1", "2") if (folder / name).exists()]

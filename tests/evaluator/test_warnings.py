@@ -127,9 +127,7 @@ RESULT = {
         (None, 0.5, 12, False),
     ],
 )
-def test_a_car_that_is_judged_by_slow_touches_is_named(
-    p90: float | None, hit_speed: float, trials: int, said: bool
-) -> None:
+def test_a_car_that_is_judged_by_slow_touches_is_named(p90, hit_speed, trials, said):
     impact = None if p90 is None else {"mean": 0.6, "p90": p90}
     margin = {"margin": 1.0, "margin_ci95": (0.9, 1.1), "margin_trials": trials, "margin_beyond": 2}
     scenario = {"collision": {"hit_speed": hit_speed}}
@@ -155,9 +153,7 @@ def planned(hits: int, standing: int, *, deviation: bool) -> dict[str, object]:
         (11, 3, 0, 0, ""),
     ],
 )
-def test_hits_that_the_margins_own_trials_do_not_have_are_said(
-    beyond: int, along: int, hits: int, standing: int, said: str, deviation: bool
-) -> None:
+def test_hits_that_the_margins_own_trials_do_not_have_are_said(beyond, along, hits, standing, said, deviation):
     ends = {"margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0), "nominal_collision_rate": along / 24}
     objectives = {"one": planned(hits, standing, deviation=deviation)}
     result = {**RESULT, **ends, "margin_beyond": beyond, "objectives": objectives}

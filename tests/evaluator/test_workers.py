@@ -72,9 +72,6 @@ def dies(_item: int) -> int:
     os._exit(5)
 
 
-# --- what any executor does
-
-
 @pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
 def test_any_executor_gives_what_a_loop_gives(kind):
     with Over(kind(2)) as runner:
@@ -83,9 +80,6 @@ def test_any_executor_gives_what_a_loop_gives(kind):
         assert [next(found) for _ in range(31)] == list(range(31))
         with pytest.raises(AssessmentError, match="no more"):
             next(found)
-
-
-# --- worker processes that die
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -164,9 +158,6 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     wait_until(lambda: _is_gone(int(number.read_text())), "their end")
 
 
-# --- work in the background
-
-
 def test_what_is_done_in_the_background_is_on_disk_and_said(tmp_path, capfd):
     def work() -> None:
         os.write(1, b"nobody is to read this")
@@ -189,9 +180,6 @@ def test_work_in_the_background_ends_with_its_block(tmp_path):
         wait_until(lambda: (tmp_path / "number").exists() and (tmp_path / "number").read_text())
     assert _is_gone(int((tmp_path / "number").read_text()))
     assert time.monotonic() - begin < 500.0
-
-
-# --- reasons
 
 
 @pytest.fixture

@@ -54,9 +54,6 @@ def store() -> Typestore:
     return made
 
 
-# --- other readers
-
-
 def test_rosbags_reads_them_by_their_own_definitions(campaign: Campaign) -> None:
     for bag in sorted(campaign.bags.iterdir()):
         with AnyReader([bag]) as reader:
@@ -110,12 +107,7 @@ def test_metadata_and_type_hashes_are_those_that_rosbags_computes(campaign: Camp
             assert reader.message_count == sum(1 for _ in reader.messages())
 
 
-# --- the same numbers
-
-
-def test_each_of_several_campaigns_can_be_replayed(
-    campaigns: dict[float, Campaign], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_of_several_campaigns_can_be_replayed(campaigns, tmp_path, capsys):
     """A folder of one as it is; of two one is to be chosen."""
     both, out = [one.bags for one in campaigns.values()], tmp_path / "alone"
     assert skd_here(capsys, "replay", campaigns[1.0].bags, "--out", out).code == 0

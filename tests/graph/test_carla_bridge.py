@@ -60,7 +60,6 @@ def messages() -> Iterator[Any]:
         yield pytest.importorskip("carla_msgs.msg", reason="this ROS 2 has no carla_msgs")
         return
     prefix = ensure_messages([str(HERE / "messages")], "vendor_control_msgs")
-    assert prefix is not None
     for _ in range(2):  # each time those whose own needs are met: the loader looks in no folder that is not on its path
         for library in prefix.glob("lib/*.so"):
             with contextlib.suppress(OSError):

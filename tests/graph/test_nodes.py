@@ -6,9 +6,7 @@ import math
 import shlex
 import sys
 import time
-from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,8 +25,6 @@ from skd_sim.ros.controller_node import CarController
 from skd_sim.ros.simulator_node import VehicleSimulator
 from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, kind_of
 
-# --- pacing
-
 
 def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: EpisodeSpec) -> None:
     rate = 8.0
@@ -46,9 +42,6 @@ def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Epis
     assert np.all(np.diff(log.adversary[:, 0]) >= 0.0)
     recorded = read_episodes([tmp_path / "bags"])
     assert_same_log(recorded[-1].log, log)
-
-
-# --- speed targets
 
 
 @pytest.mark.parametrize("stamped", [True, False])
@@ -88,9 +81,6 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: EpisodeSpec
     assert len(read_episodes([bags])) == len(logs)
 
 
-# --- parameters
-
-
 LEARNED = {"task": "episode", "controller": "external", "adversary_model": "learned"}
 
 
@@ -104,9 +94,7 @@ LEARNED = {"task": "episode", "controller": "external", "adversary_model": "lear
         (EVALUATOR, LEARNED, "name a model with car_model"),
     ],
 )
-def test_a_wrong_parameter_is_one_line_and_exit_code_2(
-    context: ForkServerContext, tmp_path: Path, module: str, parameters: dict[str, object], said: str
-) -> None:
+def test_a_wrong_parameter_is_one_line_and_exit_code_2(context, tmp_path, module, parameters, said):
     log = tmp_path / "log"
     assert wait_for_end(start_node(context, module, log, new_domain(), **parameters)) == 2, log.read_text()
     lines = log.read_text().splitlines()
@@ -115,9 +103,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
 
 
 @pytest.mark.parametrize("kind", [VehicleSimulator, CarController, AdversaryNode, EvaluatorProcess])
-def test_an_unknown_parameter_is_warned_of(
-    domain: int, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_parameter_is_warned_of(domain, kind, tmp_path, monkeypatch, capfd):
     """On the command line and in a file alike; what rclpy itself looks after is known."""
     monkeypatch.chdir(tmp_path)
     known = {VehicleSimulator: "command_timeout", CarController: "multiplier", AdversaryNode: "warm_up"}
@@ -136,12 +122,7 @@ def test_an_unknown_parameter_is_warned_of(
     assert sorted(lines) == ["there is no parameter colour", f"there is no parameter {wrong}; did you mean {name}?"]
 
 
-# --- other people's nodes
-
-
-def test_nobody_walks(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nobody_walks(context, domain, tmp_path, replay, monkeypatch):
     monkeypatch.setattr(evaluator_module, "_FIRST_DISCOVERY", 3.0)
     nodes = running(
         start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=2.0),
@@ -180,9 +161,7 @@ LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0,
         (ADVERSARY, "adversary/velocity_command", "real_time"),
     ],
 )
-def test_two_senders(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, module: str, topic: str, pacing: str
-) -> None:
+def test_two_senders(context, domain, tmp_path, replay, module, topic, pacing):
     """Which of them would be heard depends on timing; the second one is refused though it says the same.
 
     It may come after some episodes that were right.

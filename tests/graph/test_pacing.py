@@ -103,7 +103,6 @@ def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Pa
     assert f"(slip_limit {0.5 * STALL:g} s)" in slipped.reason
     assert last.outcome != Outcome.ABORTED, last.reason
     figures = command_age([slipped, last])
-    assert figures is not None
     assert figures["control_periods"] == len(last.car) - 1 == len(last.timing.ages)
     period = replay.scenario.time_step / 3.0
     assert min(last.timing.ages) >= 0.5 * period  # commands are used when the period is over

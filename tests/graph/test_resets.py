@@ -60,9 +60,6 @@ def test_a_managed_node_forgets(tmp_path: Path, replay: EpisodeSpec) -> None:
     assert len(set(stamps)) == 2
 
 
-# --- the lifecycle by itself
-
-
 @pytest.fixture
 def brake(domain: int) -> Iterator[Any]:
     """Makes the managed node, in this process."""

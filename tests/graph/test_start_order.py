@@ -77,9 +77,7 @@ def run_order(context: ForkServerContext, folder: Path, plan: Plan, order: tuple
     return read_episodes([folder / "out" / "bags"])[0].log
 
 
-def test_each_node_may_be_the_last(
-    context: ForkServerContext, tmp_path: Path, plan: Plan, expected: EpisodeLog
-) -> None:
+def test_each_node_may_be_the_last(context, tmp_path, plan, expected):
     orders = [(*NODES[place + 1 :], *NODES[: place + 1]) for place in range(len(NODES))]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         jobs = [pool.submit(run_order, context, tmp_path / str(i), plan, order) for i, order in enumerate(orders)]
@@ -88,9 +86,6 @@ def test_each_node_may_be_the_last(
                 assert_same_log(job.result(), expected)
             except AssertionError as error:
                 raise AssertionError(f"order {order}: {error}") from error
-
-
-# --- a controller that comes and goes
 
 
 def is_dead(pid: int) -> bool:
@@ -116,9 +111,7 @@ def test_restarted_between_episodes(tmp_path: Path, episode: EpisodeSpec, expect
         assert_same_log(evaluator.run_episode(episode), expected)
 
 
-def test_somebody_elses_controller_comes_and_goes(
-    context: ForkServerContext, tmp_path: Path, episode: EpisodeSpec, expected: EpisodeLog
-) -> None:
+def test_somebody_elses_controller_comes_and_goes(context, tmp_path, episode, expected):
     """Nobody watches it: its silence is what ends the episode, and the next one takes whoever is there then."""
     domain = new_domain()
     controllers: list[ForkServerProcess] = []
@@ -177,13 +170,7 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
 
 
 @pytest.mark.parametrize(("controller", "reason"), MISBEHAVIOUR.items())
-def test_misbehaviour_during_an_episode(
-    misbehaved: dict[str, tuple[Path, Finished]],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    controller: str,
-    reason: str,
-) -> None:
+def test_misbehaviour_during_an_episode(misbehaved, tmp_path, capsys, controller, reason):
     """The episode is aborted with the reason, the campaign goes on, and offline it counts as it did live."""
     out, finished = misbehaved[controller]
     assert finished.code in (0, 1), finished.err
@@ -209,9 +196,6 @@ def test_misbehaviour_during_an_episode(
     assert_same_results(tmp_path / "again", out)
     warnings = json.loads((tmp_path / "again" / "assessment.json").read_text())["warnings"]
     assert f"1 episode counts for nothing, aborted (1 {kind})" in warnings
-
-
-# --- the end of the command itself
 
 
 @pytest.fixture

@@ -90,9 +90,7 @@ def graph(context: ForkServerContext, domain: int, folder: Path) -> Iterator[Eva
         yield node
 
 
-def test_what_is_lost_all_the_same_is_said_and_soon(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: EpisodeSpec, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_lost_all_the_same_is_said_and_soon(context, domain, tmp_path, replay, monkeypatch):
     monkeypatch.setattr(evaluator_module, "_LOST", 1.0)
     with graph(context, domain, tmp_path) as node:
         keep, stamps = node._samples.add, list[int]()

@@ -135,7 +135,6 @@ def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
 
 def test_figures_of_a_recording(expected: EpisodeLog, replay: EpisodeSpec) -> None:
     scenario, log = expected.episode.scenario, expected
-    assert log.episode.safe_trajectory is not None
     apart, strayed = figures_of(log)
     assert len(apart) == len(strayed) == len(log.car)
     ends = -1 if log.outcome == Outcome.COLLISION else None

@@ -51,9 +51,6 @@ def test_links_of_the_documents_lead_somewhere(document):
         assert (ROOT / name).exists(), f"{document.name}: {name}"
 
 
-# --- scripts
-
-
 def run_script(name: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"SKD_ENV": str(Path(sys.executable).parent)}
     command = [str(ROOT / "scripts" / name), *arguments]

@@ -364,9 +364,6 @@ def test_a_container_is_healthy(image):
     assert "round trip: a message between two nodes came" in healthy.stdout
 
 
-# --- where something is missing
-
-
 @needs_compiler
 @pytest.mark.parametrize(
     ("module", "line"),
@@ -382,9 +379,6 @@ def test_what_is_missing_is_one_line(image, module, line, tmp_path):
     done = image.run("bash", "-c", script, HIDDEN_MODULES=module)
     assert done.returncode == 2
     assert re.fullmatch(rf"skd: error: {line}\n", done.stdout)
-
-
-# --- launch and ros2cli
 
 
 @needs_launch

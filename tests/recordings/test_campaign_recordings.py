@@ -1,7 +1,7 @@
 """Recordings of campaigns: two objectives, a learned car, episodes that are missing, and what is said of them."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,12 @@ from bag_forge import Sent, campaign_messages, write_mcap
 from common import assert_same_episodes, assert_valid, run_skd
 from hypothesis import given
 from hypothesis import strategies as st
-from recordings_support import Replayed, crossing, trials
-from skd_adversary.adversary import any_car_models
+from recordings_support import crossing, trials
 from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
-from skd_evaluator.assessment.assessment import Assessment, KamikazeSet, assessment_of
+from skd_adversary.warm_up import any_car_models
+from skd_evaluator.assessment.assessment import Assessment, assessment_of
 from skd_evaluator.assessment.files.results import write_assessment
+from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.car_model import own_trials
@@ -114,9 +115,7 @@ def test_each_has_a_bag_of_its_own(logs: list[EpisodeLog]) -> None:
     assert len({bag_name(one) for one in episodes}) == len(episodes)
 
 
-def test_they_are_no_contradiction(
-    logs: list[EpisodeLog], replay: Callable[..., Replayed], recorded: Callable[[Sequence[Sequence[Sent]]], Path]
-) -> None:
+def test_they_are_no_contradiction(logs, replay, recorded):
     """And none of them counts: the figures are those of the campaign alone."""
     alone = replay(recorded(campaign_messages(logs)))
     learned = replay(recorded(campaign_messages([*map(run_episode, _trials(logs[0])), *logs])))

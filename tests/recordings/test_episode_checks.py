@@ -96,9 +96,6 @@ def test_command_ages_that_are_not_finite(sent, recorded, refused, field: str, v
     assert "age of a command that is not finite" in refused(recorded(with_forged(sent, 0, RESULT, field, value)))
 
 
-# --- who said it
-
-
 @pytest.mark.parametrize("topic", [EPISODE, RESULT])
 def test_two_things_said_of_one_episode(logs, sent, recorded, refused, topic: str) -> None:
     """The last used to count."""
@@ -120,9 +117,6 @@ def test_two_recordings_that_tell_different_things(logs, sent, recorded, refused
     done = replay(whole, other, "--skip-damaged")
     assert len(done.result["left_out"]) == 1
     assert done.result["kamikaze_trials"] == len(logs) - 5
-
-
-# --- what is there twice, or not at all
 
 
 def test_an_episode_that_was_run_twice_counts_once(logs, sent, recorded, replay) -> None:

@@ -157,9 +157,7 @@ def test_what_is_right_is_read(copy: Path, tmp_path: Path, capsys: pytest.Captur
         assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum())
 
 
-def test_what_is_not_credible_is_so_for_who_learns_from_it(
-    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_credible_is_so_for_who_learns_from_it(copy, tmp_path, capsys):
     for path in (path for path in map(copy.joinpath, ("probe.json", "assessment.json")) if path.exists()):
         path.write_text(
             json.dumps({**json.loads(path.read_text()), "warnings": [f"{NOT_CREDIBLE}it counts", "harmless"]})

@@ -104,9 +104,7 @@ def test_another_simulator_counts_and_is_named(foreign: list[EpisodeLog], record
         (ADVERSARY, "pose.pose.position.x", -60.0),
     ],
 )
-def test_what_no_simulator_gives_is_refused(
-    foreign: list[EpisodeLog], recorded: Write, refused: Refused, topic: str, field: str, value: float
-) -> None:
+def test_what_no_simulator_gives_is_refused(foreign, recorded, refused, topic, field, value):
     hit = next(number for number, log in enumerate(foreign) if log.outcome == Outcome.COLLISION)
     episodes = campaign_messages(foreign)
     place = [number for number, one in enumerate(episodes[hit]) if one.topic == topic][-1]
@@ -172,9 +170,7 @@ def test_states_of_another_topic_are_not_mixed_in(sent: list[list[Sent]], record
     assert done.episodes == right.episodes
 
 
-def test_neither_order_nor_compression_nor_what_is_said_again_matters(
-    sent: list[list[Sent]], recorded: Write, replay: Replay
-) -> None:
+def test_neither_order_nor_compression_nor_what_is_said_again_matters(sent, recorded, replay):
     mixed = [one for episode in sent for one in episode]
     mixed += [one for one in mixed if one.topic == EPISODE]
     Random(0).shuffle(mixed)

@@ -191,9 +191,6 @@ def bits(*tracks: Track) -> list[bytes]:
     return [part.tobytes() for one in tracks for part in (one.times, one.places)]
 
 
-# --- however it is stored
-
-
 def split(folder: Path, messages: list[Sent], random: Random) -> None:
     """Write a recording as several files, each in an order, storage and packing of its own."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -220,9 +217,7 @@ def split(folder: Path, messages: list[Sent], random: Random) -> None:
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32), offset=st.sampled_from([0, 1, 86_400, 1_732_787_000]))
-def test_a_drive_has_the_same_tracks_however_it_is_split_ordered_packed_and_timed(
-    tmp_path: Path, seed: int, offset: int
-):
+def test_a_drive_has_the_same_tracks_however_it_is_split_ordered_packed_and_timed(tmp_path, seed, offset):
     split(tmp_path / "drive", list(drive(41, float(offset))), Random(seed))
     whole = write(tmp_path / "whole.mcap", drive(41))
     asked = ("/tracks:42", "/tf:base_link")
@@ -268,9 +263,6 @@ def test_a_recording_that_was_cut_short_gives_its_whole_chunks_and_a_warning(tmp
         read(cut)
 
 
-# --- transforms
-
-
 def test_objects_come_from_the_sensor_into_the_map(tmp_path: Path):
     path = write(tmp_path / "a.mcap", drive())
     user, car = read(path, "/tracks:42", "/tf:base_link", map_frame="map")
@@ -289,9 +281,7 @@ def test_objects_come_from_the_sensor_into_the_map(tmp_path: Path):
     length=st.integers(1, 40),
     longest=st.sampled_from([0.3, 0.5, 1.0]),
 )
-def test_any_hole_in_a_transform_longer_than_the_limit_is_found(
-    tmp_path: Path, link: str, begin: int, length: int, longest: float
-):
+def test_any_hole_in_a_transform_longer_than_the_limit_is_found(tmp_path, link, begin, length, longest):
     def lacking() -> Iterator[Sent]:
         for one in drive():
             tick = round((one.time - 100.0) * 20)
@@ -338,9 +328,6 @@ def test_a_frame_that_is_said_in_two_ways_is_refused(tmp_path: Path, more: Any, 
     assert says in str(caught.value)
 
 
-# --- stamps
-
-
 @pytest.mark.parametrize(
     ("sent", "count", "says"),
     [
@@ -377,9 +364,7 @@ def test_stamps_and_places_of_no_use_are_counted(tmp_path: Path, sent: list[Sent
     ],
     ids=["slow clock", "no ids", "two drives", "no id", "another id", "another topic", "another frame", "one message"],
 )  # fmt: skip
-def test_tracks_that_a_recording_does_not_say_are_refused_with_the_cause(
-    tmp_path: Path, sent: list[Sent], name: str, says: str
-):
+def test_tracks_that_a_recording_does_not_say_are_refused_with_the_cause(tmp_path, sent, name, says):
     with pytest.raises(UsageError) as caught:
         read(write(tmp_path / "a.mcap", sent), name)
     assert says in str(caught.value)

@@ -70,9 +70,7 @@ def whole(logs: list[EpisodeLog], tmp_path_factory: pytest.TempPathFactory) -> C
 @pytest.mark.parametrize("name", _WRITTEN)
 @settings(max_examples=30, deadline=None)
 @given(st.data())
-def test_whatever_is_damaged_is_noticed_or_says_the_same(
-    whole: Callable[[str], tuple[Path, bytes]], name: str, data: st.DataObject
-) -> None:
+def test_whatever_is_damaged_is_noticed_or_says_the_same(whole, name, data):
     """A bit anywhere, or a part that is cut out: no episode is ever another one, and none is lost without a word."""
     file, content = whole(name)
     file.write_bytes(content)
@@ -102,9 +100,7 @@ def test_files_without_checksums_are_named(sent: list[list[Sent]], recorded: Wri
     assert "bare.mcap" in line
 
 
-def test_a_damaged_chunk_is_left_out_and_what_it_held_is_named(
-    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, replay: Replay
-) -> None:
+def test_a_damaged_chunk_is_left_out_and_what_it_held_is_named(logs, sent, recorded, refused, replay):
     """A chunk an episode, so that one is lost and no other."""
     file = recorded(sent, chunk_size=max(sum(len(one.bytes()) + 40 for one in each) for each in sent))
     content = bytearray(file.read_bytes())
@@ -119,9 +115,7 @@ def test_a_damaged_chunk_is_left_out_and_what_it_held_is_named(
     assert done.result["left_out"][1:] or "left out, no result" in done.err
 
 
-def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(
-    sent: list[list[Sent]], recorded: Write, refused: Refused, replay: Replay
-) -> None:
+def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(sent, recorded, refused, replay):
     """One chunk a message: the episodes before the cut count, and no number is changed without a word."""
     file = recorded(sent, chunk_size=1)
     content = file.read_bytes()

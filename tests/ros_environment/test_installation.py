@@ -117,9 +117,6 @@ def test_what_a_failed_command_said_is_in_the_one_line_and_in_the_log(tmp_path):
         installation.run(["no-such-command"], log)
 
 
-# --- what is installed
-
-
 def locked(name: str) -> dict[str, list[str]]:
     """Packages with their versions, and hashes, of one of the lists."""
     lines = [line for line in (HERE / f"{name}.txt").read_text().splitlines() if not line.startswith("#")]
@@ -166,9 +163,7 @@ def built(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @unsourced
-def test_a_package_is_built_after_those_that_it_uses_and_only_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, built: list[str]
-) -> None:
+def test_a_package_is_built_after_those_that_it_uses_and_only_once(tmp_path, monkeypatch, built):
     package(tmp_path / "deep" / "down" / "top", "top_msgs", "std_msgs/Header header\nleft_msgs/Command left\n")
     package(tmp_path / "left", "left_msgs", "# low_msgs/Other is no field\nlow_msgs/Command[3] low  # this is\n")
     package(tmp_path / "low", "low_msgs", "float64 A=1.0\nfloat64 value\nlow_msgs/Other of_its_own\n")

@@ -133,12 +133,6 @@ PLAIN = load_scenario("crossing")
 FRESH_SEED = 20_240_607  # of no training
 
 
-# --- the label
-
-
-# --- perception
-
-
 def scene(car: CarState, adversary: AdversaryState, *obstacles: Obstacle) -> tuple[PlanarLaser, CarState]:
     assert PLAIN.sensor is not None
     perfect = replace(PLAIN.sensor, range_noise=0.0, dropout=0.0)
@@ -157,9 +151,6 @@ def test_objects_are_parted_and_measured():
     np.testing.assert_allclose(walker[:2], [distance, 1.0], atol=0.03)
     assert walker[2] == pytest.approx(0.5, abs=0.05)
     assert parked[2] > 1.8
-
-
-# --- the shipped network
 
 
 def test_the_shipped_record_is_of_the_shipped_weights():

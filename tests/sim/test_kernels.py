@@ -105,9 +105,6 @@ def compiled(once: Path, tmp_path: Path) -> Path:
     return shutil.copytree(once, tmp_path / "mine")
 
 
-# --- what is kept is what the sources say
-
-
 def test_code_is_kept_while_nothing_that_it_depends_on_changes(compiled):
     before = kept(compiled)
     assert any("_search_template" in name for name in before)
@@ -152,9 +149,6 @@ def test_two_models_of_one_name_do_not_share_code_on_disk(compiled):
     assert answer(compiled) == 2.0
 
 
-# --- the digest itself
-
-
 class Place(NamedTuple):
     x: float
     y: float = 0.0
@@ -189,9 +183,6 @@ def test_digest_tells_every_two_values_apart_and_repeats():
 def test_what_cannot_be_told_apart_is_not_kept():
     for value in (object(), np.array([None])):
         assert digest_of(reading(value)) is None
-
-
-# --- the folder
 
 
 def test_first_runs_at_once_neither_disturb_each_other_nor_differ(mine):

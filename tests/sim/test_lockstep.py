@@ -95,9 +95,6 @@ def bench() -> Bench:
     return made
 
 
-# --- any order
-
-
 def answers(tick: int, repeats: tuple[int, int]) -> list[Message]:
     """Both answers to a tick; those to tick 0 as often as it was repeated for each."""
     car: Message = ("car", stamp(tick), (0.5 * tick - 2.0,))
@@ -168,9 +165,6 @@ def test_two_answers_to_a_tick_abort_in_any_order(order: st.DataObject, tick: in
     assert ("with the same command" if same else "with different commands") in end.reason
 
 
-# --- what no command may be
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("tick", [0, 2])
 def test_what_is_not_finite_ends_it(bench: Bench, bad: float, tick: int) -> None:
@@ -188,9 +182,6 @@ def test_a_command_without_a_stamp_is_for_now(bench: Bench) -> None:
         assert bench.lockstep.drive(None, 5.0) is None
         assert bench.lockstep.walk(stamp(tick), (1.0, 0.0)) == ControlStep(5.0, (1.0, 0.0))
         assert bench.advance(tick + 1) is None
-
-
-# --- silence
 
 
 @pytest.mark.parametrize(("tick", "limit"), [(0, LIMITS.startup), (1, LIMITS.command), (3, LIMITS.command)])
@@ -230,9 +221,6 @@ def test_tick_0_is_repeated_and_no_other(bench: Bench) -> None:
     assert bench.lockstep.watch(bench.now + 1.0) is None
 
 
-# --- crowds
-
-
 def test_two_nodes_of_one_kind_are_refused_whether_they_speak_or_not(bench: Bench) -> None:
     bench.cars.alive = ["/one", "/two"]
     end = bench.lockstep.watch(bench.now)
@@ -252,9 +240,6 @@ def test_a_crowd_is_seen_at_begin_and_end(when: str) -> None:
     assert kind_of(end.reason) == AbortKind.SECOND_SENDER
 
 
-# --- ends
-
-
 def test_an_episode_knows_nothing_of_the_last(bench: Bench) -> None:
     """Neither its commands, nor what was answered, nor what was ignored."""
     bench.lockstep.drive(stamp(0), 1.0)
@@ -267,9 +252,6 @@ def test_an_episode_knows_nothing_of_the_last(bench: Bench) -> None:
     bench.begin()
     assert bench.lockstep.drive(stamp(0), 3.0) is None
     assert bench.lockstep.walk(stamp(0), (0.0, 1.0)) == ControlStep(3.0, (0.0, 1.0))
-
-
-# --- how old commands are
 
 
 def test_ages_are_those_of_the_commands_that_were_used(bench: Bench) -> None:

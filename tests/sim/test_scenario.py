@@ -259,7 +259,6 @@ def test_five_lines_make_a_scenario(tmp_path: Path) -> None:
     )
     base = load_scenario("cpna-75")
     assert mine.protocol == base.protocol
-    assert base.protocol is not None
     assert base.protocol.impact_places == (75.0,)
     assert (mine.name, mine.car.start_speed, mine.car.start_gap) == ("mine", 5.0, 22.5)  # 4.5 s of its way
     assert mine.adversary == base.adversary
@@ -296,7 +295,6 @@ def test_names_with_an_impact_place() -> None:
     assert not is_named("nothing-25")
     assert not is_named("./cpna.yaml")
     places = load_scenario("ccrs--25").protocol
-    assert places is not None
     assert places.impact_places == (-25.0,)
 
 
@@ -305,6 +303,5 @@ def test_what_is_relative_follows_the_test_speed() -> None:
         fast = changed_scenario("ccrb", {"car.start_speed": kmh / 3.6})
         assert fast.car.start_gap == pytest.approx(kmh / 3.6)
         assert fast.car.start_gap_range == pytest.approx(0.3 * kmh / 3.6)
-        assert fast.protocol is not None
         assert fast.protocol.speed == fast.adversary.start_speed == pytest.approx(kmh / 3.6)
     assert changed_scenario("cut_in", {"adversary.start_y": -9.0}).adversary.start_y == -9.0

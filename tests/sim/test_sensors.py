@@ -69,7 +69,6 @@ def test_the_whole_fan_against_shapely_with_a_turned_car():
     car, adversary = CarState(2.0, -7.0, 1.1, 5.0), AdversaryState(4.5, 1.0, 0.0, 0.0)
     parked = Obstacle(-1.0, 2.0, 0.4, 4.3, 1.8), Obstacle(6.0, 3.0, -1.2, 2.0, 1.0)
     chosen = scenario(*parked, beams=91)
-    assert chosen.sensor is not None
     ranges = PlanarLaser(chosen, 0, 0).true_ranges(car, adversary)
     mount = chosen.sensor.mount_ahead
     sensor = car.x + mount * math.cos(car.heading), car.y + mount * math.sin(car.heading)
@@ -161,7 +160,6 @@ def test_a_circle(speed, radius, left, start):
 
 
 def numbers(element: ElementTree.Element | None, key: str) -> list[float]:
-    assert element is not None
     return [float(word) for word in element.attrib[key].split()]
 
 
@@ -170,7 +168,6 @@ def numbers(element: ElementTree.Element | None, key: str) -> list[float]:
 def test_the_body_is_the_footprint_on_the_ground(name: str, part: str) -> None:
     scenario = load_scenario(name)
     body = ElementTree.fromstring(robot_description(scenario)).find(f"link[@name='base_link']/{part}")
-    assert body is not None
     middle, size = numbers(body.find("origin"), "xyz"), numbers(body.find("geometry/box"), "size")
     low = [at - 0.5 * extent for at, extent in zip(middle, size, strict=True)]
     high = [at + 0.5 * extent for at, extent in zip(middle, size, strict=True)]

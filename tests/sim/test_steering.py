@@ -131,7 +131,6 @@ def simulated(log: EpisodeLog) -> tuple[float, float] | None:
     x, y, heading, speed = log.car[0].tolist()
     draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence(5, spawn_key=(log.episode.episode_id, 0))))
     angle, periods, commands = 0.0, scenario.control_periods, log.commands
-    assert commands is not None
     for number, (acceleration, steering) in enumerate(commands.tolist()):
         tick, period = divmod(number, periods)
         if period == 0:
@@ -260,7 +259,6 @@ def test_the_time_out_of_the_lane_is_right_to_a_control_period() -> None:
     log, poses = run(spec, LaneChange(0.0)), []
     car = BasicCar(spec.scenario)
     car.reset(CarState(*log.car[0].tolist()))
-    assert log.commands is not None
     for command in log.commands.tolist():
         poses.append(car.advance(tuple(command), 0.05, QUIET)[-1])
     assert np.array(poses[-1]) == pytest.approx(log.car[-1])

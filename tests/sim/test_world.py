@@ -47,7 +47,6 @@ def test_impact_in_closed_form(acceleration: float) -> None:
     world = _world(scenario, gap)
     before = world.car.speed
     contact = world.step(acceleration, (0.0, 0.0))
-    assert contact is not None
     after = before + STEP * acceleration
     way = 0.5 * STEP * (before + after)
     fraction = (gap - scenario.adversary.radius) / way
@@ -118,9 +117,6 @@ def world_of(scenario: Scenario, seed: int = 3) -> World:
     return make_world(EpisodeSpec(scenario, Mode.SAFE, seed, 1))
 
 
-# --- noise
-
-
 @pytest.mark.parametrize("periods", [2, 3, 6, 30])
 def test_noise_is_drawn_once_a_tick_and_spread_evenly(periods: int) -> None:
     """By hand: the same two numbers a tick, a share of the first and all of the second in every control period."""
@@ -141,9 +137,6 @@ def test_noise_is_drawn_once_a_tick_and_spread_evenly(periods: int) -> None:
         assert (world.car.y, world.car.speed) == pytest.approx((y, speed), abs=1e-9)
 
 
-# --- the adversary, and contacts
-
-
 @given(
     periods=st.integers(1, 12),
     velocity=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
@@ -158,9 +151,6 @@ def test_adversaries_move_uniformly_between_ticks(periods: int, velocity: tuple[
         assert world.adversary == pytest.approx(here, abs=1e-12)
         assert world.time == pytest.approx(share)
     assert world.adversary == AdversaryState(start.x + STEP * velocity[0], start.y + STEP * velocity[1], *velocity)
-
-
-# --- scans and stamps
 
 
 @given(
