@@ -9,17 +9,15 @@ import pytest
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.options import WALKERS
-from skd_evaluator.assessment.stages.kamikazes import bounded_point
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import aborted_lines, at_worst, too_many_aborted
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
-from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
+from skd_evaluator.metrics.vulnerability_curve import BudgetPoint
 from skd_evaluator.pytest_plugin import Assessed
 from skd_evaluator.report.warnings import why_failed
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, SubsetEffort, levels_of
-from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from test_campaign import straight, trial
 from test_warnings import PLAN, assessed
@@ -143,25 +141,6 @@ def test_in_pytest_a_comparison_that_hangs_on_aborted_episodes_is_an_error() -> 
     assert type(in_pytest(rating(0).as_dict()).contact_rate) is float
 
 
-@pytest.mark.parametrize(
-    "passes",
-    [
-        lambda rate, to: rate < to(0.06),
-        lambda rate, to: to(0.06) > rate,
-        lambda rate, to: rate == to(2 / 38),
-        lambda rate, to: rate == pytest.approx(2 / 38),
-        lambda rate, to: rate - to(0.06) < 0,
-        lambda rate, to: to(float(rate)) < 0.06,
-        lambda rate, to: round(rate, 3) < to(0.06),
-        lambda rate, to: np.asarray([rate], dtype=float)[0] < to(0.06),
-    ],
-)
-def test_in_pytest_no_use_as_a_number_passes_by_aborted_episodes(passes: Any) -> None:
-    rate = in_pytest(rating(2).as_dict()).contact_rate
-    with pytest.raises(AssessmentError, match=r"not judged: contact_rate is 0\.0526316"):
-        assert passes(rate, float)
-
-
 def test_in_pytest_an_upper_bound_of_the_margin_shows_no_least() -> None:
     bound = {**rating(0).as_dict(), "margin": 1.2, "margin_ci95": [0.9, 1.3], "optimality_gap": 1.1}
     bound |= {"margin_converged": False, "margin_budget": 64}
@@ -191,22 +170,6 @@ def test_subset_simulation_ends_with_the_first_aborted_crossing() -> None:
     with pytest.raises(AbortedCrossingsError) as told:
         levels_of(here, Aborting(), 1.0, SubsetEffort(2, 100, 3))
     assert told.value.count == 1
-
-
-def test_aborted_bounded_kamikazes_are_counted() -> None:
-    ends = {0: Outcome.ABORTED, 1: Outcome.COLLISION}
-
-    class Runner:
-        def run(self, episodes: list[EpisodeSpec]) -> Any:
-            for number, episode in enumerate(episodes):
-                (log,) = rating(0).results[0].kamikaze[0].logs[:1]
-                yield replace(log, episode=episode, outcome=ends.get(number, Outcome.ARRIVED))
-
-    plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEVIATION)
-    point = bounded_point(replace(rating(0).results[0], plan=plan), rating(0).safe, 0.5, Runner())
-    assert (point.trials, point.aborted) == (9, 1)
-    every = BudgetPoint(0.5, 0, 0, 3)
-    assert (every.probability, budget_points([every])) == (None, [every])
 
 
 def test_bounded_kamikazes_that_were_aborted_fail_an_assessment_and_no_gate_passes_by_them() -> None:

@@ -76,11 +76,10 @@ def test_on_other_phi_it_is_welchs_test_and_says_so() -> None:
     assert "two samples" in found.warnings[0]
 
 
-def with_hit_speed(speed: float | None) -> dict[str, Any]:
-    """A scenario with another speed from which on a collision is a hit, or of before there was one."""
-    scenario = load_scenario("crossing").as_dict()
-    del scenario["collision"]["hit_speed"]
-    return scenario if speed is None else {**scenario, "collision": {**scenario["collision"], "hit_speed": speed}}
+def scenario_of(name: str = "crossing", **changes: dict[str, Any]) -> dict[str, Any]:
+    """A shipped scenario with other keys in some of its sections."""
+    scenario = load_scenario(name).as_dict()
+    return {**scenario, **{section: {**scenario[section], **keys} for section, keys in changes.items()}}
 
 
 @pytest.mark.parametrize(
@@ -88,7 +87,7 @@ def with_hit_speed(speed: float | None) -> dict[str, Any]:
     [
         ({"eta_max": 4.0}, "different η_max, 5 and 4"),
         ({"scenario": {**FIGURES["scenario"], "horizon": 9.0}}, "horizon is 12.0 and 9.0"),
-        ({"scenario": with_hit_speed(2.0)}, "different hit speeds, 0.556 and 2 m/s"),
+        ({"scenario": scenario_of(collision={"hit_speed": 2.0})}, "different hit speeds, 0.556 and 2 m/s"),
         ({"safe": "folder", "safe_of": [phi + 0.5 for phi in PHI]}, "different φ, from synthetic and folder"),
     ],
 )
@@ -97,12 +96,6 @@ def test_what_does_not_compare_has_no_verdict(changes: dict[str, Any], said: str
     found = compare(result("a", values(1)), result("b", values(1, shift=1.0), safe, **changes))
     assert (found.verdict, found.differences) == (NOT_COMPARED, {})
     assert said in found.refusals[0]
-
-
-def scenario_of(name: str = "crossing", **changes: dict[str, Any]) -> dict[str, Any]:
-    """A shipped scenario with other keys in some of its sections."""
-    scenario = load_scenario(name).as_dict()
-    return {**scenario, **{section: {**scenario[section], **keys} for section, keys in changes.items()}}
 
 
 def test_tyres_on_two_roads_have_no_verdict_and_a_car_without_tyres_has_one_with_a_warning() -> None:
@@ -234,24 +227,6 @@ def test_what_a_search_may_have_missed_is_in_the_interval_of_the_difference() ->
     assert back.p_value == pytest.approx(chance)
 
 
-@pytest.mark.parametrize("budgets", [(128, 128), (128, 512)], ids=["seeds", "budgets"])
-def test_a_car_is_hardly_ever_safer_than_itself(budgets: tuple[int, int]) -> None:
-    """Two searches of one car: other draws on the same φ, and each misses up to 2.5 % of the margin, as it says."""
-    rng, told_apart = np.random.default_rng(5), 0
-    for _ in range(400):
-        phi, pair = 1.0 + 0.3 * rng.random((8, 1)), []
-        for name, budget in zip("ab", budgets, strict=True):
-            missed = rng.exponential(0.01 if budget == 128 else 0.002, (8, 10))
-            share = np.clip(missed, 0.0, 0.05)
-            true = phi + 0.02 * rng.standard_normal((8, 10))
-            deep = rng.permutation(80)[:24]
-            gains = (true * share).ravel()[deep]
-            excess = {"mean": gains.mean(), "error": gains.std(ddof=1) / np.sqrt(24), "trials": 24}
-            pair.append(result(name, true * (1.0 + share), margin_budget=budget, margin_excess=excess))
-        told_apart += compare(*pair).verdict != INCONCLUSIVE
-    assert told_apart <= 0.05 * 400 + 1.645 * np.sqrt(400 * 0.05 * 0.95)
-
-
 def test_without_a_margin_planned_deviations_judge_and_it_is_said() -> None:
     first, second = (result(name, values(1, shift=shift), margin=False) for name, shift in (("a", 0.0), ("b", 1.0)))
     found = compare(first, second)
@@ -263,13 +238,8 @@ def test_without_a_margin_planned_deviations_judge_and_it_is_said() -> None:
     assert "no margin of b (no car to ask)" in one.lines()[0]
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{"adversary_model": "generic"}, {"scenario": with_hit_speed(None), "nominal_collision_rate": None}],
-    ids=["knows", "hits"],
-)
-def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict(changes: dict[str, Any]) -> None:
-    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), margin=False, **changes))
+def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict() -> None:
+    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), margin=False, adversary_model="generic"))
     assert (found.verdict, found.judged_by) == (NOT_COMPARED, None)
     assert found.refusals == ()
     assert [line.partition(":")[0] for line in found.lines()] == [

@@ -252,8 +252,6 @@ def test_trials_calibrate_the_simulator(simulated: Path, trials: Path, tmp_path:
     assert scenario.car.brake_delay == delay["value"]
     assert scenario.car.dynamics == "multi_body"
     assert content["sentences"][0] in capsys.readouterr().out
-    again = (*words, "--out", out, "--overwrite")
-    assert run_skd("fuse", "--calibrate", simulated, trials, *NAMES, *again) == 0
 
 
 def _played(example: dict[str, Any], simulated: Path) -> dict[str, float]:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line
 from skd_evaluator.assessment.compare.gate import Check, Limit, check_limits
-from skd_evaluator.assessment.files.assessment_json import check_figure, figure, scalar_figures
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
@@ -24,7 +23,6 @@ from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.summary import junit_xml, markdown
 from skd_evaluator.report.terminal import headline
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
@@ -69,34 +67,6 @@ def test_a_limit_holds_for_each_of_several_cars(cars, result, skd_here):
         assert done.returncode == code
         assert ("gate: basic, C = 1.15: deviation ≤" in done.stderr) == bool(code)
         assert "gate: basic, C = 0.5" not in done.stderr
-
-
-def test_every_number_of_a_result_has_a_name_that_is_known(result):
-    """But for what was asked for; and no name is known that the schema has for something else."""
-
-    def numbers(content: Any, name: str = "") -> list[str]:
-        items = content.items() if isinstance(content, dict) else enumerate(content)
-        found = []
-        for key, value in items:
-            if isinstance(value, (dict, list)) and "ci95" not in str(key):
-                found += numbers(value, f"{name}{key}.")
-            elif isinstance(value, (int, float)) and not isinstance(value, bool):
-                found.append(f"{name}{key}")
-        return found
-
-    asked = ("scenario.", "eta_max", "seconds", "seed", "multiplier", "simulations", "maximum_distance")
-    names = [name for name in numbers(result) if not name.startswith(asked)]
-    assert len(names) > 100
-    for name in names:
-        if "probability_bound.0." not in name:  # whose own name has a dot
-            check_figure(name)
-            assert figure(result, name) is not None
-    for name in ("skd_ci95_pairs", "objectives", "controller", "seed", "objectives.paper.plans_deviation", ""):
-        with pytest.raises(UsageError, match="no figure"):
-            check_figure(name)
-    assert {"margin", "nominal_collision_rate", "optimality_gap", "impact_speed.p90", "deviation"} <= set(
-        scalar_figures()
-    )
 
 
 def test_no_gate_passes_with_figures_that_are_not_credible(result):

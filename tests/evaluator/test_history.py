@@ -11,8 +11,7 @@ from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.cli.main import main
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.report.history import Run, find_runs, runs_table, trend_table, trends_of
-from skd_evaluator.report.terminal import print_table
+from skd_evaluator.report.history import Run, find_runs, trends_of
 
 
 @pytest.fixture(scope="module")
@@ -127,21 +126,3 @@ def test_a_trend_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch, fi
     assert first["verdict"] == ""
     assert second["verdict"] == judged["verdict"]
     assert second["difference"] == pytest.approx(second["value"] - first["value"])
-
-
-def test_lists_and_trends_say_that_a_margin_is_at_most(tmp_path, figures, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "120")
-    bound = {**figures, "margin": 0.5, "margin_converged": False, "margin_budget": 64, "warnings": ["it was cold"]}
-    written(bound, tmp_path / "open")
-    assert main(["list", str(tmp_path)]) == 0
-    shown = capsys.readouterr().out
-    assert f"* {tmp_path / 'open'}: it was cold" in shown
-    assert "the margin is at most 0.500 m, for its search had not converged at 64 candidates a trial" in shown
-    first = {"folder": "1", "date": "", "revision": "", "value": 0.5, "ci95": None, "verdict": "", "credible": True}
-    first |= {"difference": None, "difference_interval": None, "margin_converged": True}
-    rows = [first, {**first, "folder": "2", "margin_converged": False}]
-    trend = {"car": "mine", "scenario": "here", "figure": "margin", "confidence": 0.95, "runs": rows}
-    runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", bound))]
-    for table in (runs_table(runs), trend_table(trend)):
-        print_table(table)
-        assert sum("at most" in line for line in capsys.readouterr().out.splitlines()) == 1

@@ -15,7 +15,7 @@ from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.arguments import graph_options
 from skd_evaluator.cli.parser import make_parser, parse
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import BOTH, Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.options.options import (
     FIELDS,
     PLANNING,
@@ -60,18 +60,6 @@ def message_of(episode: Any) -> SimpleNamespace:
         options="",
         **said,
     )
-
-
-def test_every_option_is_an_argument_of_an_episode_and_of_a_plan():
-    names = {one.name for one in options_of(EpisodeOptions)}
-    assert names == {one.name for one in options_of(EpisodeSpec)}
-    assert names < {one.name for one in options_of(CampaignOptions)}
-    assert all(
-        one.text and one.name and one.plain_kind in (bool, int, float, str) for one in options_of(CampaignOptions)
-    )
-    for one in options_of(CampaignOptions):
-        assert one.value(one.plain(one.default)) == one.default
-        assert one.value(None) == one.default
 
 
 def test_an_episode_survives_its_message():
@@ -123,23 +111,6 @@ def test_the_command_line_is_made_of_the_table(monkeypatch: pytest.MonkeyPatch):
     text = parser.format_help()
     assert "how deep to look (default: 7)" in text
     assert "how fast to go, m/s (default: as it likes)" in text
-
-
-PAPER = {("sweep", "safe_count"): 5, ("sweep", "kamikaze_count"): 100}
-"""The paper's table has the paper's numbers."""
-
-
-@pytest.mark.parametrize("command", ["assess", "sweep", "episode", "probe"])
-def test_each_command_has_its_options_once(command: str):
-    parser = make_parser()
-    values = vars(parser.parse_args([command]))
-    for one in options_of(CampaignOptions):
-        if command in one.commands:
-            wanted = str(one.default) if (command, one.assessed) == ("episode", BOTH) else one.assessed or one.default
-            if (command, one.name) == ("episode", "safe_count"):
-                wanted = 1  # a single episode has one φ, unless it repeats one of a campaign
-            wanted = PAPER.get((command, one.name), wanted)
-            assert values[one.name] == wanted, one.name
 
 
 def test_options_of_a_file_count_less_than_those_of_the_command_line(tmp_path) -> None:

@@ -186,21 +186,6 @@ def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_pat
     assert f"margin {rating.margins.mean:.2f} m" in figures[0].get_suptitle()
 
 
-def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tmp_path, figures):
-    what = assessment([3])
-    group = what.kamikaze[0]
-    slow = dataclasses.replace(group.logs[1], impact_speed=0.1)
-    group = dataclasses.replace(group, episodes=(group.logs[0], slow, *group.episodes[2:]))
-    plan = dataclasses.replace(what.plan, objective="deviation")
-    again = ObjectiveResult(plan, (group,))
-    draw(tmp_path / "picture.png", again)
-    (panel,) = figures[0].axes
-    assert len(lines(panel, palette.KAMIKAZE.lower())) == 2
-    (grey,) = [line for line in lines(panel, palette.CAR.lower()) if len(line) == len(slow.adversary)]
-    np.testing.assert_array_equal(grey, slow.trajectory.positions)
-    assert "5 failed" in panel.get_title()
-
-
 def with_the_first_aborted(what):
     """An assessment, but all four trials on its first φ were aborted."""
     phi = what.kamikaze[0].safe_trajectory

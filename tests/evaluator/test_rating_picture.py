@@ -9,10 +9,8 @@ import pytest
 from cli_support import SMALL
 from matplotlib.image import imread
 from skd_evaluator.report.charts import (
-    against_multiplier,
     charted,
     coloured,
-    floor_of,
     pareto,
     price_chart,
     priced_cars,
@@ -23,14 +21,6 @@ from skd_evaluator.report.charts import (
 from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
-
-
-@pytest.mark.parametrize(
-    ("risks", "floor"),
-    [((0.3, 0.02), 0.01), ((0.3, 0.01), 0.001), ((0.3, 2e-6), 1e-6), ((0.5,), 0.1), ((1e-14, 0.1), 1e-10)],
-)
-def test_the_axis_ends_at_a_power_of_ten_below_every_risk(risks, floor):
-    assert floor_of([(one, 0.0, 0.0) for one in risks]) == pytest.approx(floor)
 
 
 def test_cars_stand_where_their_results_say_and_a_line_joins_basic_ones(sweep):
@@ -121,10 +111,3 @@ def test_there_is_none_of_one_scenario_or_of_one_car(subjects):
     assert matrix_of(subjects[:2]) is None
     page = render(subjects)
     assert page.index('id="matrix"') < page.index('id="verdict-table"')
-
-
-def test_no_line_joins_cars_of_one_multiplier(subjects):
-    """As of one scenario at two speeds: there is no order in which to join them."""
-    here = subjects[::2]
-    assert against_multiplier(subjects)
-    assert not against_multiplier([*here, dataclasses.replace(here[0], label="again")])

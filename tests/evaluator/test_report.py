@@ -18,8 +18,8 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.report.html import page
-from skd_evaluator.report.html.figures import ranking_notes
-from skd_evaluator.report.html.subjects import RESOLUTION, pack, read_subjects, unpack
+from skd_evaluator.report.html.episodes import RESOLUTION, pack, unpack
+from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_command
 from skd_evaluator.report.terminal import headline
 from skd_sim.world.episode import Mode, Outcome
@@ -195,41 +195,13 @@ def test_each_command_repeats_its_episode(subjects):
             np.testing.assert_array_equal(log.car, episodes.car[number])
 
 
-def test_what_was_aborted_is_no_rating(subjects, tmp_path):
-    figures = subjects[0].figures
+def test_what_was_aborted_is_said_first(subjects, tmp_path):
     aborted = {"no answer": {"count": 5, "first": "no answer: car_controller was silent"}}
     (some,) = read_subjects([edited(subjects[0].folder, tmp_path / "some", aborted=5, aborted_reasons=aborted)])
     text = read(page.render([some])).text
     assert " warning" in text
     assert "5 episodes aborted (no answer)" in text
     assert "no warnings" not in text
-    nothing = dict.fromkeys(("deviation", "deviation_ci95_trials", "deviation_ci95", "skd", "skd_ci95_pairs"))
-    nothing |= dict.fromkeys((*NO_MARGIN, "optimality_gap", "optimality_gap_ci95", "vulnerability_curve"))
-    objectives = {
-        name: {**one, "trials": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
-    }
-    folder = edited(
-        subjects[0].folder, tmp_path / "all", **nothing, objectives=objectives, aborted=56, aborted_reasons=aborted
-    )
-    with np.load(folder / "episodes.npz") as stored:
-        arrays = dict(stored)
-    kept = np.flatnonzero(arrays["mode"] == Mode.SAFE)
-    arrays = {name: array for name, array in arrays.items() if not name.startswith("margin")}
-    offsets = arrays["offsets"][: len(kept) + 1]
-    of_episodes = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
-    for name in (*of_episodes, "clipped", "reason"):
-        arrays[name] = arrays[name][kept]
-    arrays |= {
-        "offsets": offsets,
-        **{name: arrays[name][: offsets[-1]] for name in ("positions", "car", "heading", "belief")},
-    }
-    np.savez(folder / "episodes.npz", **arrays)
-    (none,) = read_subjects([folder])
-    text = read(page.render([none])).text
-    assert "✕ no rating" in text
-    assert "It says nothing about the car." in text
-    (note,) = ranking_notes([some, none])
-    assert note.startswith(f"The margin is not known of {none.label}")
 
 
 def test_a_page_that_would_be_too_large_keeps_its_figures(subjects, monkeypatch):
