@@ -82,22 +82,6 @@ def test_unsuitable_python_is_refused(copy, python):
     assert not (copy / ".venv").exists()
 
 
-def test_environment_that_runs_is_not_made_anew(copy):
-    """A change of pyproject.toml must not put another Python over an existing environment."""
-    make_environment(copy, ".venv")
-    (copy / ".venv" / ".skd-run").write_text("of another version")
-    log = copy / "calls.txt"
-    python = copy / "python3.12"
-    python.write_text(f'#!/bin/sh\necho "$@" >>"{log}"\n')
-    python.chmod(0o755)
-    done = run(copy, "skd", "--version", SKD_PYTHON=str(python))
-    assert done.returncode == 0, done.stderr
-    calls = log.read_text().splitlines()
-    assert [call for call in calls if "-m venv" in call] == []
-    assert len([call for call in calls if "-m pip" in call]) == 1
-    assert run(copy, "skd", "--version").stderr == ""
-
-
 def test_a_scheduler_brings_dask_once(copy):
     make_environment(copy, ".venv")
     log = copy / "calls.txt"

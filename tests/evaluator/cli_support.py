@@ -31,18 +31,10 @@ class Fine(_Car):
     def late(self): return 0.0
 class Raises(_Car):
     def late(self): return 1 / 0
-class GivesNone(_Car):
-    def late(self): return None
-class GivesNan(_Car):
-    def late(self): return float("nan")
-class Exits(_Car):
-    def late(self): sys.exit(3)
 class Sleeps(_Car):
     def late(self): time.sleep(1000)
 class NoCommand:
     def reset(self, scenario, rng): pass
-class FailsInReset(_Car):
-    def reset(self, scenario, rng): raise RuntimeError("no\\nstart")
 """
 
 

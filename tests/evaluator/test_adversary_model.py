@@ -18,14 +18,13 @@ from skd_evaluator.assessment.stages.car_model import kept_models, learned, mode
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.options import EpisodeOptions, options_from_text, options_of, options_to_text
+from skd_sim.options.options import EpisodeOptions, options_of
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
 PHI = Trajectory(np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)]), CROSSING.time_step)
-MODEL = any_car_models()[0]
 
 
 class Creeps:
@@ -75,31 +74,6 @@ def test_what_does_not_go_together(said: dict[str, object], words: str) -> None:
     with pytest.raises(UsageError, match=words) as caught:
         plan_of(values(**said), CROSSING)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("controller", "car_model", "said", "implied"),
-    [
-        ("basic", "", None, "exact"),
-        ("basic", MODEL, None, "learned"),
-        ("carla", "", None, "generic"),
-        ("carla", MODEL, "learned", "learned"),
-        ("basic", "", "generic", "generic"),
-    ],
-)
-def test_an_episode_says_what_it_was_planned_with(controller, car_model, said, implied):
-    """Episodes of before say nothing; and what follows from the rest is not said twice in messages."""
-    adversary_model = None if said is None else AdversaryModel(said)
-    episode = EpisodeSpec(
-        CROSSING, Mode.KAMIKAZE, 0, 0, PHI, controller=controller, car_model=car_model, adversary_model=adversary_model
-    )
-    assert episode.adversary_model == AdversaryModel(implied)
-    told = options_from_text(options_to_text(episode), "here")
-    assert told == (
-        {"adversary_model": AdversaryModel.GENERIC} if (controller, implied) == ("basic", "generic") else {}
-    )
-    again = replace(episode, adversary_model=told.get("adversary_model"))
-    assert again.adversary_model == episode.adversary_model
 
 
 def test_who_plans_with_what() -> None:

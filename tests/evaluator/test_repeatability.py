@@ -16,7 +16,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.checks import SAMPLE, driving, repeatability, sample_of
+from skd_evaluator.assessment.stages.checks import driving, repeatability
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers.protocol import Controller
@@ -25,7 +25,6 @@ from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
-from skd_sim.world.timing import Timing
 
 CROSSING = load_scenario("crossing")
 STARTS, LIMIT = CROSSING.car.start_speed, CROSSING.collision.hit_speed
@@ -107,16 +106,6 @@ def test_a_car_that_fails_when_it_is_run_again_is_not_credible() -> None:
     (line,) = repeatability("a.b:C", logs, lambda: nullcontext(Lost(Car())))
     assert line.startswith(NOT_CREDIBLE)
     assert "aborted then: the process ended" in line
-
-
-def test_the_sample_is_spread_over_what_can_be_repeated() -> None:
-    log = run_episode(EPISODES[4], Car())
-    logs = [replace(log, clipped=number) for number in range(100)]
-    assert [one.clipped for one in sample_of(logs)] == [number * 100 // SAMPLE for number in range(SAMPLE)]
-    assert sample_of(logs[:5]) == logs[:5]
-    late, elsewhere = replace(log, timing=Timing(delay=0.01)), replace(log.episode, simulator="metadrive")
-    assert sample_of([aborted(log.episode, "x"), late, replace(log, episode=elsewhere)]) == []
-    assert repeatability("a.b:C", [], nullcontext) == ()  # type: ignore[arg-type]
 
 
 class Driven:

@@ -115,17 +115,6 @@ def test_a_road_user_of_another_kind(package: Path, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("option", "name", "known"), [("--controller", "careful", "cal"), ("--simulator", "ice", "world")]
-)
-def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, name: str, known: str):
-    done = skd("assess", option, name, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    (line,) = done.stderr.splitlines()
-    assert name in line
-    assert known in line
-
-
-@pytest.mark.parametrize(
     ("entries", "words", "said"),
     [
         ("[skd.controllers]\nlost = my_scenarios:Nobody\n", ("--controller", "lost"), "my_scenarios has no Nobody"),

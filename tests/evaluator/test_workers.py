@@ -11,8 +11,6 @@ import pytest
 from common import wait_until
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, Workers, do, in_background
-from skd_evaluator.assessment.stages import margin as ahead
-from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
 from skd_evaluator.errors import AssessmentError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Mode, Outcome, kind_of
@@ -180,29 +178,3 @@ def test_work_in_the_background_ends_with_its_block(tmp_path):
         wait_until(lambda: (tmp_path / "number").exists() and (tmp_path / "number").read_text())
     assert _is_gone(int((tmp_path / "number").read_text()))
     assert time.monotonic() - begin < 500.0
-
-
-@pytest.fixture
-def compiled_by(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A file with the processes that have compiled: to compile takes half a minute."""
-    found = tmp_path / "processes"
-    found.touch()
-
-    def note() -> None:
-        with found.open("a") as file:
-            file.write(f"{os.getpid()}\n")
-
-    monkeypatch.setattr(ahead, "warm_up_margins", note)
-    monkeypatch.setattr(ahead, "available_workers", lambda: 2)
-    return found
-
-
-def test_another_process_compiles_first(compiled_by: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead, "is_kept", lambda _kernel: False)
-    with margins_compiled_in_background() as load:
-        wait_until(compiled_by.read_text, "the other process")
-        load()
-    first, second = map(int, compiled_by.read_text().split())
-    assert second == os.getpid() != first
-    with pytest.raises(ProcessLookupError):
-        os.kill(first, 0)

@@ -160,17 +160,6 @@ def test_a_foreign_node_that_reads_only_the_scan(tmp_path: Path, plan: Plan) -> 
         assert_same_log(one, other)
 
 
-@pytest.mark.parametrize("controller", ["cal", "carla"])
-def test_other_cars_are_the_same_to_the_last_bit(evaluator: Evaluator, controller: str) -> None:
-    """The scans travel too: drawn in the simulator, decided on in the controller's node."""
-    scenario = load_scenario("crossing")
-    safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
-    plan = Plan(scenario, controller=controller, seed=11, simulations=300)
-    wanted = [single_episode(plan, mode, trial, safe) for mode in Mode for trial in range(3)]
-    logs = same_through_the_graph(evaluator, wanted)
-    assert min(log.car[:, 3].min() for log in logs) < 6.5  # it did brake for somebody
-
-
 def test_curves_and_boxes_are_the_same_to_the_last_bit(evaluator: Evaluator) -> None:
     """The car's heading and the box's go through quaternions, and the agent's law is not the same for two headings."""
     turn = load_scenario("right_turn")

@@ -11,12 +11,8 @@ from typing import Any
 
 import pytest
 from common import PATIENCE
-from packaging_support import NODES, ROOT, SOURCE, STEERING, check_command, settings
+from packaging_support import NODES, ROOT, SOURCE, STEERING, settings
 from skd_evaluator.ros.launch_support import _PACKAGES, arguments_of, text_of, values_and_nodes
-
-SCRIPTS = ("run-node", "assess-controller", "replay-logs")
-ERRORS = {"run-node": ["", "juggler", "--"], "assess-controller": ["", "--seed 3"], "replay-logs": [""]}
-
 
 DOCUMENTS = sorted(
     path
@@ -58,28 +54,6 @@ def run_script(name: str, *arguments: str, cwd: Path) -> subprocess.CompletedPro
 
 
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
-
-
-@needs_bash
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_help(name, tmp_path):
-    done = run_script(name, "--help", cwd=tmp_path)
-    assert done.returncode == 0
-    assert done.stdout.startswith(f"usage: scripts/{name} ")
-    assert done.stderr == ""
-    for line in done.stdout.splitlines():
-        assert len(line) <= 120
-        if line.startswith("    scripts/") and "your_package" not in line:
-            check_command(line.split("#")[0].strip())
-
-
-@needs_bash
-@pytest.mark.parametrize(("name", "arguments"), [(name, text) for name, texts in ERRORS.items() for text in texts])
-def test_errors_are_one_line(name, arguments, tmp_path):
-    done = run_script(name, *arguments.split(), cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    (line,) = done.stderr.splitlines()
-    assert line.startswith(f"{name}: error: ")
 
 
 @needs_bash

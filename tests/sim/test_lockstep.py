@@ -228,18 +228,6 @@ def test_two_nodes_of_one_kind_are_refused_whether_they_speak_or_not(bench: Benc
     assert end.reason == "second sender: 2 publish"
 
 
-@pytest.mark.parametrize("when", ["begin", "end"])
-def test_a_crowd_is_seen_at_begin_and_end(when: str) -> None:
-    bench = Bench()
-    if when == "end":
-        bench.begin()
-    bench.adversaries.alive = ["/a", "/b"]
-    end = bench.begin() if when == "begin" else bench.advance(1, Outcome.COLLISION, Contact(0.5, 8.0))
-    assert isinstance(end, End)
-    assert end.outcome == Outcome.ABORTED
-    assert kind_of(end.reason) == AbortKind.SECOND_SENDER
-
-
 def test_an_episode_knows_nothing_of_the_last(bench: Bench) -> None:
     """Neither its commands, nor what was answered, nor what was ignored."""
     bench.lockstep.drive(stamp(0), 1.0)
