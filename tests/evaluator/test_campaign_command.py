@@ -26,9 +26,9 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign import command
+from skd_evaluator.extensions.campaign.campaign import CampaignFolder
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
-from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_evaluator.ros import session as session_module
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Mode

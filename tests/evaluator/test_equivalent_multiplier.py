@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from report_support import edited
 from scipy import stats
 from scipy.optimize import brentq, isotonic_regression
-from skd_evaluator.metrics.equivalent_multiplier import (
+from skd_evaluator.metrics.margins import (
     EquivalentMultiplier,
     difference,
     equivalent_entries,

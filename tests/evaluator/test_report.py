@@ -18,8 +18,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.report.html import page
-from skd_evaluator.report.html.episodes import RESOLUTION, pack, unpack
-from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.html.subjects import RESOLUTION, pack, read_subjects, unpack
 from skd_evaluator.report.repeat import repeat_command
 from skd_evaluator.report.terminal import headline
 from skd_sim.world.episode import Mode, Outcome

@@ -12,11 +12,10 @@ from common import assert_same_episodes, assert_valid, run_skd
 from hypothesis import given
 from hypothesis import strategies as st
 from recordings_support import crossing, trials
+from skd_adversary.adversary import any_car_models
 from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
-from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.assessment import Assessment, assessment_of
+from skd_evaluator.assessment.assessment import Assessment, KamikazeSet, assessment_of
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.car_model import own_trials
