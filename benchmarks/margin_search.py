@@ -5,7 +5,7 @@
 A row for each car, setting and seed: the margin that the search says with the effort of an assessment, whether it has
 converged, its candidates a trial, its interval's part for the search (the estimated excess, and its standard error),
 and its processor time. Some of the trials, drawn at random, are then searched anew with so many times the candidates
-that a trial has by default. "too high" is the mean of these trials over the mean of the least that is known then: 1
+that a trial had. "too high" is the mean of these trials over the mean of the least that is known then: 1
 where nothing less was found. Basic cars, whose margins are exact, are left out. The last lines count.
 
 Rows are kept in a file: what is there is not computed again, so the table can be made in parts.
@@ -75,7 +75,7 @@ def row(episodes: Sequence[EpisodeSpec], safe_count: int, deep_trials: int, time
     hits = tuple(tuple(found.hits[at : at + each]) for at in range(0, len(episodes), each))
     said, excess = Margins(hits, eta_max, found.search), found.search.excess
     chosen = np.sort(np.random.default_rng(episodes[0].seed).permutation(len(episodes))[:deep_trials])
-    limit = max(1, times * IN_PROCESS.limit // DEEPER)  # so few trials are searched DEEPER times as deep
+    limit = max(1, times * found.search.budget // DEEPER)  # so few trials are searched DEEPER times as deep
     effort = IN_PROCESS._replace(first=DEEPER * limit, limit=limit)
     more = search_margins([episodes[number] for number in chosen.tolist()], {}, one_by_one, effort)
     before = said.values[chosen]
@@ -145,7 +145,7 @@ def main() -> None:
     parser.add_argument("--safe-count", type=int, default=20, metavar="N")
     parser.add_argument("--trials", type=int, default=500, metavar="N", help="in all (default 500)")
     parser.add_argument("--deep-trials", type=int, default=20, metavar="N", help="searched deeper, at most 20")
-    parser.add_argument("--times", type=int, default=100, metavar="N", help="the default limit (default 100)")
+    parser.add_argument("--times", type=int, default=100, metavar="N", help="the candidates (default 100)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="where rows are kept")
     arguments = parser.parse_args()
     kept = [json.loads(line) for line in arguments.out.open()] if arguments.out and arguments.out.exists() else []

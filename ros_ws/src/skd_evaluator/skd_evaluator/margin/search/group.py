@@ -64,7 +64,6 @@ class Group:
 
     Attributes:
         trials: in the order of the episodes.
-        goals: how many candidates each of them is to be searched with.
         space: where sequences of actions lead.
         reasons: why episodes were aborted, one each.
         sources: what each has brought.
@@ -81,7 +80,6 @@ class Group:
         assert first.safe_trajectory is not None
         self.space = space = ActionSpace(first.scenario, first.end, first.safe_trajectory.positions)
         self.trials = [Trial(episode, space) for episode in episodes]
-        self.goals = [0] * len(episodes)
         self.reasons: list[str] = []
         self.sources = {source: Source() for source in SOURCES}
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((first.seed, first.episode_id))))
@@ -102,8 +100,8 @@ class Group:
     def is_open(self) -> bool:
         """Whether there is anything left to drive."""
         return any(
-            not trial.is_done and (trial.spent < goal or offers)
-            for trial, goal, offers in zip(self.trials, self.goals, self._offers, strict=True)
+            not trial.is_done and (trial.spent < trial.goal or offers)
+            for trial, offers in zip(self.trials, self._offers, strict=True)
         )
 
     @property
@@ -131,7 +129,7 @@ class Group:
                 continue
             if proposal := self._first(index, self._offers[index]):
                 found.append(proposal)
-            elif trial.spent < self.goals[index]:
+            elif trial.spent < trial.goal:
                 source = self._choose(index, pool)
                 made.append((index, source, self._made(source, index, pool)))
         sequences = [one for *_, tries in made for one in tries]

@@ -25,12 +25,15 @@ from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess, Search
 
 CHANGE: Final = 0.02
-"""Of the mean, below which it may have converged: in the last doubling, and in the three beyond of trials that are
+"""Of the mean, below which it may have converged: in the last two doublings, and in the three beyond of trials that are
 searched deeper."""
 DEEPER: Final = 8
 """Times as deep some trials are searched, or all where they are few."""
 DEEP_TRIALS: Final = 20
 _FEW: Final = 64  # trials
+_HARD: Final = 0.25, 3.0
+"""Share of the trials, those of greatest margin, and how many times as hard they are searched as the others: there most
+is to be gained."""
 _EXCESS: Final = 0.01, CONVERGED_WITHIN
 """Of the mean: estimated error of a search that has converged, and with its standard error."""
 _SAME_PHI, _OTHER_PHI = 8, 4  # sequences that a group is offered from others after each round
@@ -118,7 +121,7 @@ def search_margins(
         if searched.is_done:
             return searched.result(True, budget, None, means)
         last, latest = 2 * budget > limit, [mean for _, mean in means[1:]]
-        steady = searched.has_all_hits and len(latest) > 2 and _near(latest[-1], latest[-2])
+        steady = searched.has_all_hits and len(latest) > 2 and _near(latest[-1], latest[-3])
         good = False
         if few:
             excess = _excess(before - searched.margins)
@@ -238,10 +241,11 @@ class _Search:
         return all(trial.best is not None for trial in self._trials)
 
     def round(self, budget: int, deeper: Collection[int] = ()) -> None:
-        """Search with so many candidates a trial, and more in those of some episodes; then share what was found."""
-        for group in self._groups:
-            numbers = [trial.episode.episode_id for trial in group.trials]
-            group.goals = [budget * (DEEPER if number in deeper else 1) for number in numbers]
+        """Search with so many candidates a trial on average, and more in some episodes; then share what was found."""
+        margins, (share, times) = self.margins, _HARD
+        weights = np.where(margins > np.quantile(margins, 1.0 - share), times, 1.0)
+        for trial, weight in zip(self._trials, weights / weights.mean(), strict=True):
+            trial.goal = DEEPER * budget if trial.episode.episode_id in deeper else int(weight * budget)
         what = f"{DEEPER * budget} candidates in {len(deeper)} trials" if deeper else f"{budget} candidates a trial"
         what = what if budget else "trajectories of the other car"
         self._groups = self._rounds(self._groups, what)

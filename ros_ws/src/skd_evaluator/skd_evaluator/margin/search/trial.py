@@ -49,6 +49,7 @@ class Trial:
         actions: the actions of `best`; None where it was not found by a sequence of them.
         tick: in which `best` hits.
         near_misses: by deviation.
+        goal: how many candidates it is to be searched with.
         driven: how many candidates were driven.
         spent: the same, and how often none came to mind.
     """
@@ -63,7 +64,7 @@ class Trial:
         self.actions: IntArray | None = None
         self.tick = 0
         self.near_misses: list[NearMiss] = []
-        self.driven = self.spent = 0
+        self.goal = self.driven = self.spent = 0
 
     @property
     def is_done(self) -> bool:
