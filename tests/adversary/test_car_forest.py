@@ -4,6 +4,7 @@ import math
 from collections import namedtuple
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from skd_adversary.car_models.car_model_file import (
     write_car_model,
 )
 from skd_adversary.car_models.fit import learn_car
-from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described, grow, leaf_of
+from skd_adversary.car_models.forest import FEATURES, GRID, LEAST_DONORS, TREES, Trees, described, grow, leaf_of
 from skd_adversary.car_models.observations import Observations
 from skd_adversary.crossing.cars import (
     CHANGE,
@@ -35,12 +36,15 @@ from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import road_user_named
-from skd_adversary.crossing.roads import CURVED
+from skd_adversary.crossing.roads import CURVED, STRAIGHT
+from skd_adversary.crossing.sensors import POSE
 from skd_sim.controllers.basic import BasicController
+from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.road import road_pose
+from skd_sim.scenario.road import beside_road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.contact import to_car_frame
 from skd_sim.world.state import AdversaryState, CarState
 
 
@@ -203,3 +207,72 @@ def test_who_is_left_behind_is_not_met_again(name: str, car_s: float, x: float, 
     for way in np.linspace(0.0, 20.0, 21):
         here = shapely.Point(x + way * math.cos(direction), y + way * math.sin(direction))
         assert box(scenario, car_s + way).distance(here) >= reach - 1e-9
+
+
+class ChangesLanes:
+    """Brakes a little and steers to the left where a road user is less than 15 m ahead."""
+
+    steers_by = "curvature"
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self._aside = False
+
+    def command(self, car: CarState, adversary: AdversaryState) -> tuple[float, float]:
+        self._aside |= 0.0 < adversary.y - car.y < 15.0
+        heading = 0.2 * min(1.0, max(-1.0, car.x + 3.0)) if self._aside else 0.0
+        return -0.5, 0.3 * (heading - (car.heading - np.pi / 2.0))
+
+
+def test_of_a_car_that_evades_the_forest_says_where_it_goes_and_points() -> None:
+    data = logs_of(user_controller(ChangesLanes(), "changes lanes"), 96)
+    learned = learn_car(data)
+    assert learned.forest is not None
+    assert learned.forest.evades
+    trees, (features, found) = learned.forest.trees, described(data)
+    assert features.shape[1] == len(FEATURES)
+    donors = np.array([_mean_donor(trees, one) for one in features[::5]])
+    for column in (1, 2):
+        values = found[::5, column]
+        assert np.std(donors[:, column + 1] - values) < 0.3 * values.std()
+    assert LearnedCar(learned, unknown_car()).sensor is POSE
+    assert fitted_car(car_model_text(learned)).forest == learned.forest
+    straight = learn_car(logs_of(GradedCar(), 24))
+    assert straight.forest is None or not straight.forest.evades
+
+
+def _mean_donor(trees: Trees, features: np.ndarray) -> np.ndarray:
+    node = leaf_of(trees.nodes, trees.roots[0], features)
+    first, count = int(trees.nodes[node, 1]), int(trees.nodes[node, 2])
+    return np.asarray(trees.donors[first : first + count].mean(axis=0))
+
+
+class OnRoad(NamedTuple):
+    """Parameters of a road's kernels."""
+
+    line: np.ndarray
+
+
+@pytest.mark.parametrize("name", ["crossing", "right_turn"])
+def test_what_a_car_beside_its_line_meets_is_what_it_would_meet_on_it(name: str) -> None:
+    """Seen from the car a point stays where it is when both are moved."""
+    road, rng = load_scenario(name).road, np.random.default_rng(3)
+    kernels = STRAIGHT if road.straight else CURVED
+    parameters = OnRoad(road.line)
+    for _ in range(50):
+        s, offset, turned, x, y = (float(rng.uniform(-1.0, 1.0)) * by for by in (15.0, 4.0, 0.5, 8.0, 8.0))
+        line_x, line_y, heading = road_pose(road.line, s)
+        car = line_x + offset * np.sin(heading), line_y - offset * np.cos(heading), heading - turned
+        moved = kernels.to_middle(parameters, x, y, s, (offset, turned))
+        assert to_car_frame(*moved, line_x, line_y, heading) == pytest.approx(to_car_frame(x, y, *car))
+    assert kernels.to_middle(parameters, x, y, s, (0.0, 0.0)) == (x, y)
+
+
+@pytest.mark.parametrize("name", ["crossing", "right_turn"])
+def test_the_pose_that_is_seen_is_the_cars_with_noise(name: str) -> None:
+    scenario, rng = load_scenario(name), np.random.default_rng(4)
+    x, y, heading = road_pose(scenario.road.line, -10.0)
+    car = CarState(x + 2.0 * np.sin(heading), y - 2.0 * np.cos(heading), heading - 0.3, 8.0)
+    own = beside_road(scenario.road.line, np.array([[-3.0, 1.0]]))[0]
+    seen = np.array([POSE.sense(scenario, (own[0], own[1]), car, rng) for _ in range(4000)])
+    assert seen.mean(axis=0) == pytest.approx([-11.0, 5.0, 0.3], abs=0.06)
+    assert seen.std(axis=0) == pytest.approx([1.0, 1.0, 0.1], rel=0.1)

@@ -23,8 +23,9 @@ from skd_evaluator.metrics.price_of_caution import (
 from skd_evaluator.report.tables import comparison_table
 from skd_evaluator.report.terminal import print_table
 from skd_sim.scenario.road import right_and_along
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+from skd_sim.world.state import AdversaryState, CarState
 
 COUNT = 20
 
@@ -47,7 +48,8 @@ class Recorded(InProcessRunner):
 
 
 def price_of(controller: str, scenario: str = "crossing", runner: InProcessRunner | None = None) -> PriceOfCaution:
-    plan = Plan(controller=f"{CARS}:{controller}", scenario=load_scenario(scenario), safe_count=5, seed=3)
+    controller = controller if ":" in controller else f"{CARS}:{controller}"
+    plan = Plan(controller=controller, scenario=load_scenario(scenario), safe_count=5, seed=3)
     with runner or InProcessRunner(1) as running:
         running.start([])
         found = price_of_caution(plan, safe_trajectories(plan, running), running, COUNT)
@@ -160,6 +162,30 @@ def test_intervals_of_the_time_lost_hold_the_mean() -> None:
 def test_who_never_gets_past_counts_the_whole_horizon() -> None:
     runs = PriceOfCaution((HarmlessRun("waits", HORIZON, 6.0, 5.5, True),) * 10)
     assert (runs.time_lost, runs.deadlock, runs.slow) == (24.0, 1.0, 0.5)
+
+
+class KeepsLeft:
+    """Drives 1.5 m to the left of the middle of its lane, whoever is there."""
+
+    steers_by = "curvature"
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Nothing is kept."""
+
+    def command(self, car: CarState, adversary: AdversaryState) -> tuple[float, float]:
+        return 0.0, 0.3 * (0.2 * min(1.0, max(-1.0, car.x + 1.5)) - (car.heading - math.pi / 2.0))
+
+
+def test_how_long_a_car_is_out_of_its_lane_in_harmless_runs_is_known() -> None:
+    found = price_of(f"{__file__}:KeepsLeft", "oncoming_lane")
+    assert found.lanes_left is not None
+    share, seconds = found.lanes_left
+    assert share == 1.0
+    driven = np.mean([one.passed for one in found.runs])
+    assert 0.4 * driven < seconds <= driven + 0.3  # until it has passed
+    assert price_of("NeverBrakes").lanes_left is None
+    runs = tuple(HarmlessRun("waits", 6.0, 6.0, 5.5, False, time) for time in (0.0, 2.0, 0.0, 4.0))
+    assert PriceOfCaution(runs).lanes_left == (0.5, 3.0)
 
 
 def test_only_a_lower_end_above_five_percent_says_that_a_car_does_not_get_past() -> None:

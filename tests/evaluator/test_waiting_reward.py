@@ -45,7 +45,7 @@ class Played:
 
 def chosen(strayed: Mapping[float, Sequence[float]], car: FittedCar = FOREST) -> tuple[float | None, Played]:
     runner = Played(strayed)
-    return with_waiting_reward(PLAN, car, [STANDS], runner, lambda *_told: None).waiting_reward, runner
+    return with_waiting_reward(PLAN, car, [STANDS], runner, lambda *_told: None)[0].waiting_reward, runner
 
 
 @pytest.mark.parametrize("best", CHOICES)

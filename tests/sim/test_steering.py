@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_adversary.adversary import ReplayAdversary
-from skd_evaluator.assessment.episode_figures import ADVERSARY, ROAD_EDGE, collision_partner, lane_left, lanes_left
+from skd_evaluator.assessment.episode_figures import ADVERSARY, ROAD_EDGE, collision_partner, lane_left
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.plausibility import ROUNDING, examine
 from skd_evaluator.assessment.run.episodes import Replay, replayed, run_episode
 from skd_evaluator.assessment.stages.kamikazes import with_steering
 from skd_evaluator.metrics.contact_place import car_at_contact
 from skd_evaluator.metrics.deviation import hit_of
+from skd_evaluator.metrics.price_of_caution import lanes_left
 from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.adversary import AdversaryModel
@@ -270,7 +271,7 @@ def test_the_time_out_of_the_lane_is_right_to_a_control_period() -> None:
     out = (np.abs(np.array(corners).reshape(-1, 4)) > 1.75).any(axis=1)
     assert 0.5 < 0.05 * out.sum() < 5.0
     assert lane_left(log) == pytest.approx(0.05 * out.sum(), abs=0.051)
-    assert lanes_left([log, run(spec, Constant(0.0))]) == (0.5, pytest.approx(lane_left(log)))
+    assert lanes_left([*map(lane_left, (log, run(spec, Constant(0.0))))]) == (0.5, pytest.approx(lane_left(log)))
 
 
 def test_contact_with_another_vehicle_counts_where_it_happens() -> None:

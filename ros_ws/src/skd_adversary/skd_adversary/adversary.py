@@ -122,7 +122,7 @@ class PlanningAdversary:
         return BelievedCar(*self._belief.moments(CAR_S), *self._belief.moments(CAR_SPEED))
 
     def _sense(self, car: CarState) -> FloatArray:
-        return self._sensor.sense(self._scenario, self._position, (car.x, car.y), self._sensor_rng)
+        return self._sensor.sense(self._scenario, self._position, car, self._sensor_rng)
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Sense, update the belief, plan; see `Adversary.act`."""

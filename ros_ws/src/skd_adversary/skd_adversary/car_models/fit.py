@@ -285,7 +285,7 @@ def near(data: Observations) -> BoolArray:
 
 
 def learn_car(data: Observations, *, seed: int = 0, version: str = "unknown", folds: int = FOLDS) -> FittedCar:
-    """Return the car that the logs show: as a law, and as a forest where that predicts it better.
+    """Return the car that the logs show: as a law, and as a forest where it evades, or that predicts it better.
 
     Better is by more than a standard error of the score of held-out ticks near the road user. The law has seen the
     ticks by which it is judged, the forest has not.
@@ -299,6 +299,8 @@ def learn_car(data: Observations, *, seed: int = 0, version: str = "unknown", fo
     car, fitted = fit_with_law(data, seed=seed, version=version)
     if data.episodes < LEAST_EPISODES or not moving(data).any():
         return car
+    if data.evades:
+        return replace(car, forest=grow(data, seed=seed))
     fold, rng = folds_of(data.episode, FOLDS), np.random.default_rng(seed)
     parts = [data.of(fold == part) for part in range(folds)]
     grown = (grow(data.of(fold != part), seed=seed).trees for part in range(folds))

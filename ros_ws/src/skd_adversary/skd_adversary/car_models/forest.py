@@ -25,20 +25,25 @@ from skd_adversary.car_models.observations import Observations
 FEATURES: Final = (
     "gap", "lateral", "sideways before", "receding before", "sideways", "receding", "speed", "change", "change before",
     "time to arrival", "lateral at arrival", "closing speed", "time to arrival before", "lateral at arrival before",
+    "offset", "turned",
 )  # fmt: skip
-"""What a split may ask; *before* is of the tick before, times are cut at 8 s, and a change is of the car's speed."""
-TICK: Final = ("gap", "lateral", "sideways", "receding", "speed", "change", "residual")
-"""What is kept of a tick: SI units; `residual` is how far the car drove beyond the mean of its two speeds, m."""
+"""What a split may ask; *before* is of the tick before, times are cut at 8 s, a change is of the car's speed. Of a
+car that evades alone: offset and heading at the beginning, to the right of its lane."""
+TICK: Final = ("gap", "lateral", "sideways", "receding", "speed", "change", "residual", "offset", "drift", "turned")
+"""What is kept of a tick: SI units; `residual` is how far the car drove beyond the mean of its two speeds, m.
+Of a car that evades alone: its offset, how that changes, and the heading that it comes to."""
 
 GRID: Final = 128.0
 """Places (m) and speeds (m/s) are resolved to one part in this many: 8 mm."""
 FINE: Final = 1024.0
-"""The same of changes of speed and residuals."""
+"""The same of all others."""
+_PARTS: Final = np.array([GRID] * 5 + [FINE] * 2 + [GRID] + [FINE] * 2)
 _LONGEST: Final = 8.0  # s
 _WIDEST: Final = 30.0  # m
 
 Array = npt.NDArray[Any]
 Pair = tuple[float, float]
+Triple = tuple[float, float, float]
 Floats = npt.NDArray[np.float64]
 
 
@@ -48,8 +53,9 @@ class Trees(NamedTuple):
     Attributes:
         roots: node of each tree's root.
         nodes: feature (−1: a leaf), then of a split: threshold, node where the feature is above it, 0; the other one
-            comes right behind the split. Of a leaf: its first donor, how many there are, the median of their changes.
-        donors: change of speed (m/s) and residual (m).
+            comes right behind the split. Of a leaf: its first donor, how many there are, the medians of their changes,
+            drifts and headings.
+        donors: change of speed (m/s), residual and drift (m), heading (rad).
     """
 
     roots: npt.NDArray[np.int64]
@@ -76,18 +82,27 @@ class CarForest:
         """
         return unpacked(self.packed)
 
+    @property
+    def evades(self) -> bool:
+        """Whether the car goes aside."""
+        return bool(self.trees.donors[:, 2:].any())
+
 
 @kernel
-def features_of(gap: float, lateral: float, before: Pair, now: Pair, speed: float, changes: Pair) -> tuple[float, ...]:
+def features_of(
+    gap: float, lateral: float, before: Pair, now: Pair, speed: float, changes: Triple, offset: float
+) -> tuple[float, ...]:
     """Return the features of a tick, in the order of `FEATURES`.
 
     Args:
         gap: front bumper to the road user's centre along the lane, m.
-        lateral: offset of the road user to the right of the centre line, m.
+        lateral: the road user to the right of the car's middle, m.
         before: the road user's velocity in the last tick, (across the lane, along it away from the car), m/s.
         now: the same in this tick, which a car that decides within a tick sees.
         speed: speed of the car, m/s.
-        changes: by how much the car's speed changed in the last tick, and in the tick before that, m/s.
+        changes: by how much the car's speed changed in the last tick, and in the tick before that, m/s, and its
+            heading now, rad to the right.
+        offset: of the car to the right of the lane's middle, m.
     """
     ahead = max(gap, 0.0)
     closing = speed - now[1]
@@ -97,7 +112,8 @@ def features_of(gap: float, lateral: float, before: Pair, now: Pair, speed: floa
     arrival_before = _LONGEST if ahead >= _LONGEST * closing_before else ahead / closing_before
     there_before = min(_WIDEST, max(-_WIDEST, lateral + before[0] * arrival_before))
     moved = (gap, lateral, before[0], before[1], now[0], now[1], speed, changes[0], changes[1])
-    return moved + (arrival, there, closing, arrival_before, there_before)  # noqa: RUF005 - numba has no stars
+    arrives = (arrival, there, closing, arrival_before, there_before)
+    return moved + arrives + (offset, changes[2])
 
 
 @kernel
@@ -114,16 +130,16 @@ def leaf_of(nodes: Array, root: int, features: Any) -> int:
 
 @kernel
 def tick_features(ticks: Floats, lengths: npt.NDArray[np.int64], found: Floats) -> None:
-    """Write the features of recorded ticks, of episodes one after the other: n × 14 of n × 7, see `TICK`."""
+    """Write the features of recorded ticks, of episodes one after the other: n × 16 of n × 10, see `TICK`."""
     row = 0
     for episode in range(lengths.shape[0]):
-        before, changes = (0.0, 0.0), (0.0, 0.0)
+        before, changes = (0.0, 0.0), (0.0, 0.0, 0.0)
         for _ in range(lengths[episode]):
             now = (ticks[row, 2], ticks[row, 3])
-            values = features_of(ticks[row, 0], ticks[row, 1], before, now, ticks[row, 4], changes)
+            values = features_of(ticks[row, 0], ticks[row, 1], before, now, ticks[row, 4], changes, ticks[row, 7])
             for index in range(len(values)):
                 found[row, index] = values[index]
-            before, changes = now, (ticks[row, 5], changes[0])
+            before, changes = now, (ticks[row, 5], changes[0], ticks[row, 9])
             row += 1
 
 
@@ -134,15 +150,16 @@ def _leaves(nodes: Array, root: int, features: Floats, found: npt.NDArray[np.int
 
 
 def gridded(ticks: Floats) -> npt.NDArray[np.int16]:
-    """Return ticks (n × 7) as they are kept: whole numbers of parts."""
-    parts = np.array([GRID] * 5 + [FINE] * 2)
-    kept: npt.NDArray[np.int16] = np.clip(np.rint(ticks * parts), -32767, 32767).astype(np.int16)
+    """Return ticks (n × 7 or n × 10) as they are kept: whole numbers of parts."""
+    kept: npt.NDArray[np.int16] = np.clip(np.rint(ticks * _PARTS[: ticks.shape[1]]), -32767, 32767).astype(np.int16)
     return kept
 
 
 def from_grid(kept: npt.NDArray[np.int16]) -> Floats:
-    """Return the ticks that are kept; the inverse of `gridded`, but for the rounding."""
-    return np.asarray(kept / np.array([GRID] * 5 + [FINE] * 2))
+    """Return the ticks that are kept, n × 10; the inverse of `gridded`, but for the rounding."""
+    ticks = np.zeros((len(kept), len(TICK)))
+    ticks[:, : kept.shape[1]] = kept / _PARTS[: kept.shape[1]]
+    return ticks
 
 
 def pack(
@@ -159,7 +176,7 @@ def pack(
             branch of values that are not above; −1: a leaf.
         thresholds: thresholds of the splits, in parts of `GRID`: values of at most this, and a half, go the first way.
         sizes: nodes per tree.
-        ticks: n × 7, see `gridded`.
+        ticks: see `gridded`.
         lengths: ticks per episode.
     """
     # Column by column, and differences: neighbouring ticks are alike.
@@ -185,7 +202,7 @@ def unpacked(packed: bytes) -> Trees:
         raise UsageError("forest of the car model: not as skd fit writes it") from error
     kept = np.cumsum(columns, axis=1, dtype=np.int16).T
     ticks = from_grid(kept)
-    nodes = np.zeros((len(features), 4), dtype=np.float32)
+    nodes = np.zeros((len(features), 6), dtype=np.float32)
     nodes[:, 0] = features
     nodes[features >= 0, 1] = (thresholds.astype(np.float64) + 0.5) / GRID
     _join(nodes, sizes.astype(np.int64))
@@ -193,16 +210,17 @@ def unpacked(packed: bytes) -> Trees:
     tick_features(ticks, lengths.astype(np.int64), described)
     roots = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
     found = np.empty(len(ticks), dtype=np.int64)
-    donors = np.empty((len(sizes) * len(ticks), 2), dtype=np.float32)
+    donors = np.empty((len(sizes) * len(ticks), 4), dtype=np.float32)
     for tree, root in enumerate(roots.tolist()):
         _leaves(nodes, root, described, found)
         order = np.argsort(found, kind="stable")
         begin = tree * len(ticks)
-        donors[begin : begin + len(ticks)] = ticks[order, 5:]
+        donors[begin : begin + len(ticks)] = ticks[order][:, [5, 6, 8, 9]]
         leaves, first, counts = np.unique(found[order], return_index=True, return_counts=True)
         nodes[leaves, 1], nodes[leaves, 2] = begin + first, counts
-        by_change = np.lexsort((ticks[order, 5], found[order]))
-        nodes[leaves, 3] = ticks[order, 5][by_change][first + counts // 2]
+        for column, node in ((5, 3), (8, 4), (9, 5)):
+            by_size = np.lexsort((ticks[order, column], found[order]))
+            nodes[leaves, node] = ticks[order, column][by_size][first + counts // 2]
     return Trees(roots, nodes, donors)
 
 
@@ -225,7 +243,7 @@ LEAST_DONORS: Final = 5
 
 
 def kept_ticks(data: Observations) -> npt.NDArray[np.int16]:
-    """Return the ticks as a forest keeps them, n × 7."""
+    """Return the ticks as a forest keeps them."""
     columns = (
         data.gap,
         data.lateral,
@@ -234,6 +252,7 @@ def kept_ticks(data: Observations) -> npt.NDArray[np.int16]:
         data.speed,
         data.speed_after - data.speed,
         data.travelled - 0.5 * data.time_step * (data.speed + data.speed_after),
+        *((data.offset, data.drift, data.turned) if data.evades else ()),
     )
     return gridded(np.column_stack(columns))
 
@@ -245,11 +264,16 @@ def lengths_of(data: Observations) -> npt.NDArray[np.int64]:
 
 
 def described(data: Observations) -> tuple[FloatArray, FloatArray]:
-    """Return features (n × 14) and change of speed of ticks, as a forest sees them."""
+    """Return features (n × 14; n × 16 of a car that evades) and what to predict of ticks, as a forest sees them.
+
+    That is the change of speed, m/s, and of a car that evades drift (m) and heading (rad), too: n, or n × 3.
+    """
     ticks = from_grid(kept_ticks(data))
     features = np.empty((len(ticks), len(FEATURES)))
     tick_features(ticks, lengths_of(data), features)
-    return features, ticks[:, 5]
+    if not data.evades:
+        return features[:, :-2], ticks[:, 5]
+    return features, ticks[:, [5, 8, 9]]
 
 
 def grow(data: Observations, *, seed: int = 0) -> CarForest:
@@ -261,10 +285,10 @@ def grow(data: Observations, *, seed: int = 0) -> CarForest:
     """
     from sklearn.ensemble import RandomForestRegressor  # slow to import, and needed only now
 
-    features, change = described(data)
+    features, found = described(data)
     whole = np.ceil(features * GRID - 0.5)  # what is resolved; halves go down, as in `leaf_of`
     forest = RandomForestRegressor(TREES, min_samples_leaf=LEAST_DONORS, random_state=seed, n_jobs=-1)
-    forest.fit(whole.astype(np.float32), change)
+    forest.fit(whole.astype(np.float32), found / found.std(axis=0) if data.evades else found)
     grown: list[Any] = [tree.tree_ for tree in forest.estimators_]
     for tree in grown:
         splits = tree.children_left >= 0

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.errors import UsageError
+from skd_sim.scenario.road import HEADING_NORTH
+
+_ASIDE = 0.3  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,9 @@ class Observations:
         walking_away: the adversary's velocity along the lane in the tick itself, m/s.
         walking_sideways: the adversary's velocity across the lane in the tick itself, m/s.
         travelled: distance that the car drove in the tick, m.
+        offset: the car right of the middle of its lane, m.
+        drift: by how much that changes in the tick, m.
+        turned: heading of the car after the tick, rad to the right of its lane.
         time_step: duration of a tick, s.
         front: front bumper ahead of the car's reference point, m.
         rear: rear bumper behind it, m.
@@ -62,6 +68,9 @@ class Observations:
     walking_away: FloatArray
     walking_sideways: FloatArray
     travelled: FloatArray
+    offset: FloatArray
+    drift: FloatArray
+    turned: FloatArray
     time_step: float
     front: float
     rear: float
@@ -73,6 +82,17 @@ class Observations:
     def car_length(self) -> float:
         """From bumper to bumper, m."""
         return self.front + self.rear
+
+    @property
+    def evades(self) -> bool:
+        """Whether the car goes so far aside that it matters where it is hit."""
+        return bool((np.abs(self.offset + self.drift) > _ASIDE).any())
+
+    @property
+    def in_lane(self) -> Observations:
+        """The same of a car of which only the road user's place beside it is looked at."""
+        nothing = np.zeros(len(self))
+        return replace(self, offset=nothing, drift=nothing, turned=nothing)
 
     @property
     def episodes(self) -> int:
@@ -127,4 +147,7 @@ def _columns(episode: int, recording: RecordedEpisode) -> dict[str, FloatArray |
         "walking_away": walking[:, 1],
         "walking_sideways": walking[:, 0],
         "travelled": np.diff(car[:, 1]),
+        "offset": car[:-1, 0],
+        "drift": np.diff(car[:, 0]),
+        "turned": HEADING_NORTH - car[1:, 2],
     }

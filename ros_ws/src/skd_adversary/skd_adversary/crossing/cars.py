@@ -9,7 +9,8 @@ in the initial belief and carried along, so that the belief learns it.
 
 *Learned, by a forest* (`car_models.forest`), where no law fits. In each tick a tree is drawn, then a donor in the leaf
 to which the tick's features lead: the car does what it did then. What the default policy expects is one tree's
-opinion, the same tree as long as a state lives: its leaf's median.
+opinion, the same tree as long as a state lives: its leaf's median. Where the car evades, the donors also say how far
+to the side it goes and where it points then, and the adversary sees the car's whole pose.
 """
 
 from __future__ import annotations
@@ -34,16 +35,19 @@ from skd_adversary.crossing.interfaces import (
     ADVERSARY_Y,
     CAR_S,
     CAR_SPEED,
+    OFFSET,
     STATE_DIM,
     TRIGGER,
+    TURNED,
     CarKernels,
     Pair,
     SensorModel,
+    Triple,
     on_road,
     template,
     velocity_on_road,
 )
-from skd_adversary.crossing.sensors import DISTANCE, RELATIVE_POSITION
+from skd_adversary.crossing.sensors import DISTANCE, POSE, RELATIVE_POSITION
 
 
 @kernel
@@ -71,12 +75,12 @@ def _basic_advance_car(
 
 
 @template
-def _basic_expected_acceleration(
-    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair
-) -> float:
-    """Interface `expected_acceleration`."""
+def _basic_expected_motion(
+    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
+) -> Triple:
+    """Interface `expected_motion`."""
     _, along = on_road(parameters, place[0], place[1])
-    return basic_acceleration(along - car[0] - parameters.front, state[TRIGGER], parameters.deceleration)
+    return basic_acceleration(along - car[0] - parameters.front, state[TRIGGER], parameters.deceleration), 0.0, 0.0
 
 
 @kernel
@@ -93,8 +97,14 @@ def _basic_redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Ge
 
 
 @kernel(inline=True)
-def _basic_last_changes(parameters: Any, state: FloatArray) -> Pair:
+def _basic_last_changes(parameters: Any, state: FloatArray) -> Triple:
     """Interface `last_changes`: of no matter to a car that has a law."""
+    return 0.0, 0.0, 0.0
+
+
+@kernel(inline=True)
+def _basic_aside(parameters: Any, state: FloatArray) -> Pair:
+    """Interface `aside`: it keeps to its lane."""
     return 0.0, 0.0
 
 
@@ -103,10 +113,11 @@ BASIC_KERNELS = CarKernels(
     0,
     _basic_start_car,
     _basic_advance_car,
-    _basic_expected_acceleration,
+    _basic_expected_motion,
     _basic_resume_car,
     _basic_redraw_policy,
     _basic_last_changes,
+    _basic_aside,
 )
 
 WAITING_REWARD: Final = -0.08
@@ -147,6 +158,7 @@ class CarModel:
             "trigger_low": self.multiplier_low * car.safe_distance,
             "trigger_high": self.multiplier_high * car.safe_distance,
             "waiting_reward": WAITING_REWARD,
+            "evades": False,
         }
 
 
@@ -260,13 +272,13 @@ def _brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> boo
 
 
 @template(inline=False)
-def _fitted_expected_acceleration(
-    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair
-) -> float:
-    """Interface `expected_acceleration`; it reacts at once."""
-    if _in_reach(parameters, state[TRIGGER], state[PATH], place, before, car):
-        return float(-state[DECELERATION])
-    return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - car[1])))
+def _fitted_expected_motion(
+    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
+) -> Triple:
+    """Interface `expected_motion`; it reacts at once."""
+    if _in_reach(parameters, state[TRIGGER], state[PATH], place, before, (car[0], car[1])):
+        return float(-state[DECELERATION]), 0.0, 0.0
+    return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - car[1]))), 0.0, 0.0
 
 
 @template(inline=False)
@@ -300,18 +312,20 @@ _FITTED_KERNELS = CarKernels(
     FITTED_STATE_DIM - STATE_DIM,
     _fitted_start_car,
     _fitted_advance_car,
-    _fitted_expected_acceleration,
+    _fitted_expected_motion,
     _basic_resume_car,
     _fitted_redraw_policy,
     _basic_last_changes,
+    _basic_aside,
 )
 
 
 # State vector, beyond the crossing's own: velocity of the road user in the last tick, (right, along) of the road, m/s,
-# the last two changes of the car's speed, m/s, and the tree that expects. The crossing's TRIGGER, by which a default
-# policy tells whether the car brakes, says what it did last: there is no distance at which it begins to.
-SIDEWAYS, RECEDING, CHANGE, CHANGE_BEFORE, TREE = range(STATE_DIM, STATE_DIM + 5)
-FOREST_STATE_DIM = STATE_DIM + 5
+# the last two changes of the car's speed, m/s, the tree that expects; `OFFSET` and `TURNED` before them.
+# TRIGGER of the crossing, by which a default policy tells whether the car brakes, says what it did last: there is no
+# distance at which it begins to.
+SIDEWAYS, RECEDING, CHANGE, CHANGE_BEFORE, TREE = range(TURNED + 1, TURNED + 6)
+FOREST_STATE_DIM = TURNED + 6
 _ALWAYS: Final = 1e9  # m
 _NOISE: Final = 0.1  # relative to the speed: a car that slows by more brakes
 
@@ -340,11 +354,13 @@ def _forest_start_car(parameters: Any, state: FloatArray, rng: np.random.Generat
     _basic_start_car(parameters, state, rng)
     state[SIDEWAYS] = 0.0
     state[RECEDING] = 0.0
+    state[OFFSET] = 0.0
+    state[TURNED] = 0.0
     _forest_redraw_policy(parameters, state, rng)
 
 
 @template(inline=False)
-def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair) -> int:
+def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple) -> int:
     """Return the leaf of a tree to which a tick belongs.
 
     Arguments as of `expected_acceleration`, but the velocity before by its parts to the right of the road and along it.
@@ -352,9 +368,8 @@ def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car:
     p = parameters
     x, y = place
     across, along = on_road(p, x, y)
-    features = features_of(
-        along - car[0] - p.front, across, before, velocity_on_road(p, x, y, now[0], now[1]), car[1], changes
-    )
+    going = velocity_on_road(p, x, y, now[0], now[1])
+    features = features_of(along - car[0] - p.front, across - car[2], before, going, car[1], changes, car[2])
     return leaf_of(p.forest_nodes, p.forest_roots[tree], features)
 
 
@@ -365,8 +380,8 @@ def _forest_advance_car(
     """Interface `advance_car`: as in a recorded tick that was like this one."""
     p = parameters
     x, y, car_s, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S], state[CAR_SPEED]
-    before, changes = (state[SIDEWAYS], state[RECEDING]), (state[CHANGE], state[CHANGE_BEFORE])
-    leaf = _leaf(p, _draw_tree(p, rng), (x, y), before, (vx, vy), (car_s, speed), changes)
+    before, changes = (state[SIDEWAYS], state[RECEDING]), (state[CHANGE], state[CHANGE_BEFORE], state[TURNED])
+    leaf = _leaf(p, _draw_tree(p, rng), (x, y), before, (vx, vy), (car_s, speed, state[OFFSET]), changes)
     count = int(p.forest_nodes[leaf, 2])
     donor = int(p.forest_nodes[leaf, 1]) + min(count - 1, int(count * rng.random()))
     speed_after = max(0.0, speed + float(p.forest_donors[donor, 0]))
@@ -379,26 +394,35 @@ def _forest_advance_car(
     next_state[TREE] = state[TREE]
     next_state[CHANGE] = speed_after - speed
     next_state[CHANGE_BEFORE] = state[CHANGE]
+    next_state[OFFSET] = state[OFFSET] + float(p.forest_donors[donor, 2])
+    next_state[TURNED] = float(p.forest_donors[donor, 3])
     sideways, receding = velocity_on_road(p, x, y, vx, vy)
     next_state[SIDEWAYS] = sideways
     next_state[RECEDING] = receding
 
 
 @template(inline=False)
-def _forest_expected_acceleration(
-    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair
-) -> float:
-    """Interface `expected_acceleration`."""
+def _forest_expected_motion(
+    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
+) -> Triple:
+    """Interface `expected_motion`."""
     p = parameters
     on_road_before = velocity_on_road(p, place[0], place[1], before[0], before[1])
     leaf = _leaf(p, int(state[TREE]), place, on_road_before, now, car, changes)
-    return float(p.forest_nodes[leaf, 3]) / float(p.time_step)
+    change, drift, turned = p.forest_nodes[leaf, 3], p.forest_nodes[leaf, 4], p.forest_nodes[leaf, 5]
+    return float(change) / float(p.time_step), float(drift), float(turned)
 
 
 @kernel
-def _forest_last_changes(parameters: Any, state: FloatArray) -> Pair:
+def _forest_last_changes(parameters: Any, state: FloatArray) -> Triple:
     """Interface `last_changes`."""
-    return state[CHANGE], state[CHANGE_BEFORE]
+    return state[CHANGE], state[CHANGE_BEFORE], state[TURNED]
+
+
+@kernel(inline=True)
+def _forest_aside(parameters: Any, state: FloatArray) -> Pair:
+    """Interface `aside`."""
+    return state[OFFSET], state[TURNED]
 
 
 @kernel
@@ -412,10 +436,11 @@ _FOREST_KERNELS = CarKernels(
     FOREST_STATE_DIM - STATE_DIM,
     _forest_start_car,
     _forest_advance_car,
-    _forest_expected_acceleration,
+    _forest_expected_motion,
     _forest_resume_car,
     _forest_redraw_policy,
     _forest_last_changes,
+    _forest_aside,
 )
 
 
@@ -439,7 +464,7 @@ class LearnedCar:
     @property
     def sensor(self) -> SensorModel:
         """Sensor by which the adversary sees the car."""
-        return self.known.sensor
+        return POSE if self.car.forest is not None and self.car.forest.evades else self.known.sensor
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
         """Return the forest, or the law of the car as numbers and its priors, and the waiting reward."""
@@ -450,7 +475,12 @@ class LearnedCar:
         if car.forest is None:
             return known | _law_parameters(car)
         roots, nodes, donors = car.forest.trees
-        return known | {"forest_roots": roots, "forest_nodes": nodes, "forest_donors": donors}
+        return known | {
+            "forest_roots": roots,
+            "forest_nodes": nodes,
+            "forest_donors": donors,
+            "evades": car.forest.evades,
+        }
 
 
 def _law_parameters(car: FittedCar) -> dict[str, Any]:

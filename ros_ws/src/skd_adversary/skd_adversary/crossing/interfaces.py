@@ -25,18 +25,23 @@ from skd_sim.kernels.compilation import template as template
 from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import runs_into
+from skd_sim.world.state import CarState
 
 from skd_adversary.pomdp.planner import Backup, Cells, PlannerOptions
 
 # State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
 ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
 STATE_DIM = 5
+OFFSET, TURNED = range(STATE_DIM, STATE_DIM + 2)
+"""Of a car that evades: how far it is to the right of the middle of its lane, m, and turned to the right of it, rad."""
 
 Pair = tuple[float, float]
+Triple = tuple[float, float, float]
 
 _acts: Callable[..., None] = unbound
 _gives_number: Callable[..., float] = unbound
 _gives_pair: Callable[..., Pair] = unbound
+_gives_triple: Callable[..., Triple] = unbound
 _gives_truth: Callable[..., bool] = unbound
 
 # Interfaces of the road user: see `RoadUserKernels`
@@ -46,10 +51,9 @@ pointing = touch = _gives_number
 steer: Callable[..., int] = unbound
 # of the predicted car and of the sensor: see `CarKernels`, `SensorModel`
 start_car = advance_car = resume_car = redraw_policy = place_car = _acts
-expected_acceleration = _gives_number
-last_changes = _gives_pair
+last_changes = expected_motion = _gives_triple
 # of the road: see `RoadKernels`
-on_road = velocity_on_road = from_car = _gives_pair
+on_road = velocity_on_road = from_car = to_middle = aside = _gives_pair
 at_distance = contact = _gives_number
 left_behind = _gives_truth
 # of the objective: see `ObjectiveModel`
@@ -165,25 +169,28 @@ class CarKernels:
         start_car: (parameters, state_out, rng): draw place, speed and policy of the car in the initial belief.
         advance_car: (parameters, state, vx, vy, next_state_out, rng): write all of the car's part of the next state,
             while the adversary moves with a velocity.
-        expected_acceleration: (parameters, state, place, before, now, car, changes) → what the car of a state will do,
-            m/s², its noise left aside: the adversary being at a place, with its velocities of the tick before and of
-            this one; the car's (path coordinate, speed), and by how much its speed changed in the last tick and in the
-            one before, m/s.
+        expected_motion: (parameters, state, place, before, now, car, changes) → what the car of a state will do, its
+            noise left aside: acceleration, m/s², how far it goes to the right in the tick, m, and how far it is turned
+            to the right then, rad; the adversary being at a place, with its velocities of the tick before and of this
+            one; the car's (path coordinate, speed, offset); by how much its speed changed in the last tick and in the
+            one before, m/s, and how far it is turned now.
         resume_car: (parameters, state, redrawn_out, rng): draw the car's speed anew, near that of a state that was
             believed, before the sensor places the car.
         redraw_policy: (parameters, redrawn_out, rng): draw the car's policy anew, after that.
-        last_changes: (parameters, state) → the `changes` with which `expected_acceleration` begins; 0 to a car that
-            has a law.
+        last_changes: (parameters, state) → the `changes` with which `expected_motion` begins; 0 to a car that has a
+            law.
+        aside: (parameters, state) → how far the car is to the right of the middle of its lane, m, and turned, rad.
     """
 
     name: str
     own_dim: int
     start_car: Any
     advance_car: Any
-    expected_acceleration: Any
+    expected_motion: Any
     resume_car: Any
     redraw_policy: Any
     last_changes: Any
+    aside: Any
 
 
 @dataclass(frozen=True)
@@ -193,19 +200,21 @@ class SensorModel:
     Attributes:
         name: name of the sensor; compiled code is called by it.
         parameters: scenario → parameters of the model, by name.
-        sense: (scenario, own place (x, y) in m, that of the car (x, y) in m, generator) → observation.
+        sense: (scenario, own place (x, y) in m, the car, generator) → observation.
         observe: draws an observation; see `Pomdp`.
         likelihood: likelihood of an observation; see `Pomdp`.
         place_car: (parameters, state, observation, redrawn_out, rng): place the car of a redrawn state, which holds the
             adversary's own part already, where an observation says, with the sensor's noise; `state` was believed.
+        observation_dim: length of an observation.
     """
 
     name: str
     parameters: Callable[[Scenario], Mapping[str, float]]
-    sense: Callable[[Scenario, Pair, Pair, np.random.Generator], FloatArray]
+    sense: Callable[[Scenario, Pair, CarState, np.random.Generator], FloatArray]
     observe: Any
     likelihood: Any
     place_car: Any
+    observation_dim: int = 1
 
 
 @dataclass(frozen=True)
@@ -219,6 +228,8 @@ class RoadKernels:
             In these coordinates every road is straight and leads North.
         velocity_on_road: (parameters, x, y, vx, vy) → a velocity to the right of the road and along it, beside a point.
         from_car: (parameters, x, y, car_s) → how far ahead and to the left of the car's reference point a point is, m.
+        to_middle: (parameters, x, y, car_s, aside) → where a point is once it is moved together with a car that is
+            `aside` so that this is on the centre line.
         left_behind: (parameters, x, y, car_s) → whether a point is behind the car, which will not turn back to it. The
             path coordinate alone does not say so: before a curve, who is on its inner side may be far behind the car,
             and be there before it by the short cut.
@@ -233,6 +244,7 @@ class RoadKernels:
     on_road: Any
     velocity_on_road: Any
     from_car: Any
+    to_middle: Any
     left_behind: Any
     at_distance: Any
     contact: Any

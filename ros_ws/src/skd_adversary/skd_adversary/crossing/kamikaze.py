@@ -41,9 +41,11 @@ from skd_adversary.crossing.interfaces import (
     USER_DIM,
     ObjectiveModel,
     Pair,
+    Triple,
+    aside,
     chosen,
     contact,
-    expected_acceleration,
+    expected_motion,
     last_changes,
     leads_nowhere,
     left_behind,
@@ -57,6 +59,7 @@ from skd_adversary.crossing.interfaces import (
     sensible,
     steer,
     template,
+    to_middle,
     velocity,
 )
 from skd_adversary.crossing.path import pace_at, path_velocities
@@ -71,7 +74,7 @@ _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) d
 _SAME = 1e-9  # m/s
 _ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
 _LOOKAHEAD = 25  # ticks
-_LOOKAHEAD_COLUMNS = 11  # numbers of a tick that is looked ahead: see `_begin_lookahead`
+_LOOKAHEAD_COLUMNS = 13  # numbers of a tick that is looked ahead: see `_begin_lookahead`
 # How a plan ends: in a contact, with φ beyond the path, with the car beyond φ, or not within the look-ahead.
 _MET, _LATE, _EARLY, _ONGOING = range(4)
 
@@ -203,9 +206,9 @@ def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) ->
 def _begin_lookahead(parameters: Any, state: FloatArray, car_s: float, worst: float) -> None:
     """Write the first row of `lookahead`: how a plan begins.
 
-    A row is the road user's place (x, y), m; the car's place, m, and speed, m/s; the greatest squared distance from φ
-    so far, m²; how much the car's speed changed in the tick before and in that before it, m/s; how the road user moves,
-    as `next_velocity` takes it; its velocity in the tick before, m/s.
+    A row is the road user's place (x, y), m; the car's place, m, speed, m/s, and offset, m; the greatest squared
+    distance from φ so far, m²; the car's `changes`, as `expected_motion` takes them; how the road user moves, as
+    `next_velocity` takes it; its velocity in the tick before, m/s.
 
     Args:
         parameters: parameters of the model.
@@ -215,20 +218,21 @@ def _begin_lookahead(parameters: Any, state: FloatArray, car_s: float, worst: fl
     """
     place = state[ADVERSARY_X], state[ADVERSARY_Y]
     changes, own = last_changes(parameters, state), moving(parameters, state)
-    _keep(parameters.lookahead, 0, place, (car_s, state[CAR_SPEED]), worst, changes, own, (0.0, 0.0))
+    car = car_s, state[CAR_SPEED], aside(parameters, state)[0]
+    _keep(parameters.lookahead, 0, place, car, worst, changes, own, (0.0, 0.0))
 
 
 @kernel(inline=True)
 def _keep(
-    kept: FloatArray, row: int, place: Pair, car: Pair, worst: float, changes: Pair, own: Pair, before: Pair
+    kept: FloatArray, row: int, place: Pair, car: Triple, worst: float, changes: Triple, own: Pair, before: Pair
 ) -> None:
     """Write a row of `lookahead`; see `_begin_lookahead`."""
     kept[row, 0], kept[row, 1] = place
-    kept[row, 2], kept[row, 3] = car
-    kept[row, 4] = worst
-    kept[row, 5], kept[row, 6] = changes
-    kept[row, 7], kept[row, 8] = own
-    kept[row, 9], kept[row, 10] = before
+    kept[row, 2], kept[row, 3], kept[row, 4] = car
+    kept[row, 5] = worst
+    kept[row, 6], kept[row, 7], kept[row, 8] = changes
+    kept[row, 9], kept[row, 10] = own
+    kept[row, 11], kept[row, 12] = before
 
 
 @template
@@ -252,10 +256,12 @@ def _look_ahead(
         Squared deviation at the contact (m²), infinity without one; how it ended; the tick in which it did.
     """
     p, kept, row = parameters, parameters.lookahead, switch - now
-    x, y, car_s, speed, worst = kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4]
+    x, y = kept[row, 0], kept[row, 1]
+    car_s, speed, offset, worst = kept[row, 2], kept[row, 3], kept[row, 4], kept[row, 5]
     if worst >= bound:
         return math.inf, _LATE, switch
-    changes, own, before = (kept[row, 5], kept[row, 6]), (kept[row, 7], kept[row, 8]), (kept[row, 9], kept[row, 10])
+    changes, own = (kept[row, 6], kept[row, 7], kept[row, 8]), (kept[row, 9], kept[row, 10])
+    before = kept[row, 11], kept[row, 12]
     edge = p.half_width + p.radius
     for tick in range(switch, now + _LOOKAHEAD):
         own = _velocity(p, own[0], own[1], action, tick)
@@ -263,14 +269,16 @@ def _look_ahead(
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what it did before, is not known to every model
             before = own
-        acceleration = expected_acceleration(p, state, (x, y), before, own, (car_s, speed), changes)
+        acceleration, drift, turned = expected_motion(p, state, (x, y), before, own, (car_s, speed, offset), changes)
         before = own
         speed_after = max(0.0, speed + p.time_step * acceleration)
-        changes = (speed_after - speed, changes[0])
+        place = to_middle(p, x, y, car_s, (offset, changes[2]))
+        changes = (speed_after - speed, changes[0], turned)
         car_s_after = car_s + 0.5 * p.time_step * (speed + speed_after)
         squared = _squared_deviation(p.path, x_after, y_after, tick, 1.0)
         heading = pointing(p, state, vx, vy)
-        share = contact(p, (x, y), (x_after, y_after), heading, car_s, car_s_after)
+        place_after = to_middle(p, x_after, y_after, car_s_after, (offset + drift, turned))
+        share = contact(p, place, place_after, heading, car_s, car_s_after)
         if share <= 1.0:
             if speed + share * (speed_after - speed) < p.hit_speed:
                 return math.inf, _LATE, tick
@@ -288,9 +296,9 @@ def _look_ahead(
             across, _ = on_road(p, x_after, y_after)
             if p.crossing * across >= -edge:
                 return math.inf, _LATE, tick
-        x, y, car_s, speed = x_after, y_after, car_s_after, speed_after
+        x, y, car_s, speed, offset = x_after, y_after, car_s_after, speed_after, offset + drift
         if action == AS_PHI:
-            _keep(kept, tick + 1 - now, (x, y), (car_s, speed), worst, changes, own, before)
+            _keep(kept, tick + 1 - now, (x, y), (car_s, speed, offset), worst, changes, own, before)
     return math.inf, _ONGOING, now
 
 
@@ -335,8 +343,10 @@ def _plan(parameters: Any, state: FloatArray, worst: float, now: int, rng: np.ra
     for back in range(end - now + 1):
         switch = end - back
         found = False
-        for choice in range(len(EARLY_ACTIONS) if how == _EARLY else len(LATE_ACTIONS)):
-            action = EARLY_ACTIONS[choice] if how == _EARLY else LATE_ACTIONS[choice]
+        early = how == _EARLY
+        count = AS_PHI if p.evades else len(EARLY_ACTIONS) if early else len(LATE_ACTIONS)
+        for choice in range(count):
+            action = choice if p.evades else EARLY_ACTIONS[choice] if early else LATE_ACTIONS[choice]
             squared, _, _ = _look_ahead(p, state, now, switch, action, best)
             if squared < best:
                 best = squared

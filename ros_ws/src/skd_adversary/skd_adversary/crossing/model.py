@@ -32,6 +32,7 @@ from skd_adversary.crossing.interfaces import (
     RoadUserModel,
     SensorModel,
     advance_car,
+    aside,
     begin,
     contact,
     kernels_of,
@@ -43,6 +44,7 @@ from skd_adversary.crossing.interfaces import (
     start_car,
     start_road_user,
     template,
+    to_middle,
 )
 from skd_adversary.crossing.kamikaze import DEVIATION
 from skd_adversary.crossing.objectives import FRECHET, PAPER, SAFE
@@ -76,7 +78,9 @@ def move(
     next_state[ADVERSARY_Y] = y_after
     settle(p, state, vx, vy, next_state)
     heading = pointing(p, state, vx, vy)
-    return contact(p, (x, y), (x_after, y_after), heading, state[CAR_S], next_state[CAR_S])
+    place = to_middle(p, x, y, state[CAR_S], aside(p, state))
+    place_after = to_middle(p, x_after, y_after, next_state[CAR_S], aside(p, next_state))
+    return contact(p, place, place_after, heading, state[CAR_S], next_state[CAR_S])
 
 
 @template(inline=False)
@@ -258,7 +262,7 @@ def compose(
     return Pomdp(
         name=f"{objective.name}_{user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
         state_dim=STATE_DIM + car.kernels.own_dim + user.own_dim + objective.own_dim(len(phi)),
-        observation_dim=1,
+        observation_dim=sensor.observation_dim,
         action_count=user.action_count + objective.follows_phi,
         discount=objective.discount,
         parameters=_parameters_class(*values)(**values),

@@ -36,6 +36,22 @@ def _straight_from_car(parameters: Any, x: float, y: float, car_s: float) -> Pai
 
 
 @kernel(inline=True)
+def _from_aside(ahead: float, left: float, aside: Pair) -> Pair:
+    """Return how far ahead and to the left (m) of a car aside of the centre line a point is, from those of the line."""
+    offset, turned = aside
+    cos, sin = math.cos(turned), math.sin(turned)
+    return cos * ahead - sin * (left + offset), sin * ahead + cos * (left + offset)
+
+
+@kernel(inline=True)
+def _straight_to_middle(parameters: Any, x: float, y: float, car_s: float, aside: Pair) -> Pair:
+    if aside[0] == 0.0 and aside[1] == 0.0:
+        return x, y
+    ahead, left = _from_aside(y - car_s, -x, aside)
+    return -left, car_s + ahead
+
+
+@kernel(inline=True)
 def _straight_left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
     return bool(car_s - parameters.rear > y + parameters.radius)
 
@@ -70,6 +86,7 @@ STRAIGHT = RoadKernels(
     _straight_on_road,
     _straight_velocity_on_road,
     _straight_from_car,
+    _straight_to_middle,
     _straight_left_behind,
     _straight_at_distance,
     _straight_contact,
@@ -105,6 +122,17 @@ def _curved_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy:
 def _curved_from_car(parameters: Any, x: float, y: float, car_s: float) -> Pair:
     car_x, car_y, heading = road_pose(parameters.line, car_s)
     return to_car_frame(x, y, car_x, car_y, heading)
+
+
+@kernel(inline=True)
+def _curved_to_middle(parameters: Any, x: float, y: float, car_s: float, aside: Pair) -> Pair:
+    if aside[0] == 0.0 and aside[1] == 0.0:
+        return x, y
+    car_x, car_y, heading = road_pose(parameters.line, car_s)
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead, left = to_car_frame(x, y, car_x, car_y, heading)
+    ahead, left = _from_aside(ahead, left, aside)
+    return car_x + cos * ahead - sin * left, car_y + sin * ahead + cos * left
 
 
 @kernel(inline=True)
@@ -165,6 +193,7 @@ CURVED = RoadKernels(
     _curved_on_road,
     _curved_velocity_on_road,
     _curved_from_car,
+    _curved_to_middle,
     _curved_left_behind,
     _curved_at_distance,
     _curved_contact,

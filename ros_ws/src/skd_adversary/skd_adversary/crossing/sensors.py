@@ -3,26 +3,31 @@
 The distance is what is seen of a car of which nothing is known, the relative position what is seen of a basic car
 (paper, "Kamikaze Trajectories"). The component across the road says nothing that is not known, the road user's own
 place: its likelihood is the same for every state, so the model goes without it. On a curved road the place that was
-seen is put on the centre line.
+seen is put on the centre line. Of a car that evades the component across the road and its heading are
+seen, too.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.scenario.road import road_position
+from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance
+from skd_sim.world.state import CarState
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
     ADVERSARY_Y,
     CAR_S,
+    OFFSET,
+    TURNED,
     Pair,
     SensorModel,
+    Triple,
     at_distance,
     from_car,
     on_road,
@@ -30,9 +35,9 @@ from skd_adversary.crossing.interfaces import (
 )
 
 
-def _distance_sense(scenario: Scenario, own: Pair, car: Pair, rng: np.random.Generator) -> FloatArray:
+def _distance_sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
     """Return the distance at which the car is seen, m; places are (x, y), m."""
-    dx, dy = car[0] - own[0], car[1] - own[1]
+    dx, dy = car.x - own[0], car.y - own[1]
     distance = math.sqrt(dx * dx + dy * dy)
     return np.array([distance + scenario.adversary.distance_noise * rng.standard_normal()])
 
@@ -79,13 +84,13 @@ DISTANCE = SensorModel(
 )
 
 
-def _position_sense(scenario: Scenario, own: Pair, car: Pair, rng: np.random.Generator) -> FloatArray:
+def _position_sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
     """Return how far beyond the road user, along the road, the car is seen, m; places are (x, y), m."""
     noise = scenario.adversary.position_noise * rng.standard_normal(2)  # of both components
     if scenario.road.straight:
-        return np.array([car[1] - own[1] + noise[1]])
+        return np.array([car.y - own[1] + noise[1]])
     line = scenario.road.line
-    return np.array([road_position(line, car[0] + noise[0], car[1] + noise[1])[0] - road_position(line, *own)[0]])
+    return np.array([road_position(line, car.x + noise[0], car.y + noise[1])[0] - road_position(line, *own)[0]])
 
 
 @template
@@ -129,3 +134,55 @@ RELATIVE_POSITION = SensorModel(
     _position_likelihood,
     _position_place_car,
 )
+
+
+_HEADING_NOISE: Final = 0.1  # rad
+
+
+def _pose_sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
+    """Return how far beyond the road user and to its right the car is seen, m, and how far turned to the right, rad."""
+    line, noise = scenario.road.line, scenario.adversary.position_noise
+    (along, left), (own_along, own_left) = road_position(line, car.x, car.y), road_position(line, *own)
+    turned = math.remainder(road_pose(line, along)[2] - car.heading, math.tau)
+    exact = np.array([along - own_along, own_left - left, turned])
+    return exact + np.array([noise, noise, _HEADING_NOISE]) * rng.standard_normal(3)
+
+
+@template
+def _pose_expected(parameters: Any, state: FloatArray) -> Triple:
+    """Return what is seen of the car of a state, without noise."""
+    across, along = on_road(parameters, state[ADVERSARY_X], state[ADVERSARY_Y])
+    return state[CAR_S] - along, state[OFFSET] - across, state[TURNED]
+
+
+@template
+def _pose_observe(
+    parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator
+) -> None:
+    """Draw what is seen of the car: see `_pose_sense`."""
+    along, aside, turned = _pose_expected(parameters, state)
+    observation[0] = along + parameters.position_noise * rng.standard_normal()
+    observation[1] = aside + parameters.position_noise * rng.standard_normal()
+    observation[2] = turned + _HEADING_NOISE * rng.standard_normal()
+
+
+@template(inline=False)
+def _pose_likelihood(parameters: Any, state: FloatArray, action: int, observation: FloatArray) -> float:
+    """Return the density, up to a factor, of what is seen of the car."""
+    along, aside, turned = _pose_expected(parameters, state)
+    error = (observation[0] - along) / parameters.position_noise
+    error_aside = (observation[1] - aside) / parameters.position_noise
+    error_turned = (observation[2] - turned) / _HEADING_NOISE
+    return math.exp(-0.5 * (error * error + error_aside * error_aside + error_turned * error_turned))
+
+
+POSE = SensorModel(
+    "pose",
+    lambda scenario: {"position_noise": scenario.adversary.position_noise},
+    _pose_sense,
+    _pose_observe,
+    _pose_likelihood,
+    _position_place_car,
+    observation_dim=3,
+)
+"""Of a car that evades: its place along the road and across it, and its heading."""

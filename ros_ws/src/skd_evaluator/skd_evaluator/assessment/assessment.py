@@ -14,7 +14,7 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SK
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.episode_figures import Surrogates, lanes_left, surrogates_of
+from skd_evaluator.assessment.episode_figures import Surrogates, lane_left, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, Of, entries, figures_html
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.aborted import not_credible
@@ -22,7 +22,7 @@ from skd_evaluator.metrics.clustered import Clustered, GroupedMean, clustered_ra
 from skd_evaluator.metrics.deviation import deviation_pairs, mean_deviation
 from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins, optimality_gap
 from skd_evaluator.metrics.measures import Pair, measure_pairs, pair_of
-from skd_evaluator.metrics.price_of_caution import PriceOfCaution
+from skd_evaluator.metrics.price_of_caution import PriceOfCaution, lanes_left
 from skd_evaluator.metrics.risks import Risks
 from skd_evaluator.metrics.sample_size import UntilWidth
 from skd_evaluator.metrics.skd import Skd, bound_interval, compute_skd
@@ -419,7 +419,7 @@ class Assessment:
     @cached_property
     def lanes_left(self) -> tuple[float, float] | None:
         """In which share of the runs along φ the car leaves its lane, and for how long, s; None: in none."""
-        return lanes_left(self.nominal_runs)
+        return lanes_left([*map(lane_left, self.nominal_runs)])
 
     @property
     def contact_rate(self) -> float | None:

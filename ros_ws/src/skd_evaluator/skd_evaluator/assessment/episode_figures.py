@@ -133,13 +133,6 @@ def lane_left(log: EpisodeLog) -> float:
     return seconds
 
 
-def lanes_left(logs: Sequence[EpisodeLog]) -> tuple[float, float] | None:
-    """Return the share of runs in which the car leaves its lane, and the mean time of those, s; None: in none."""
-    times = np.array([lane_left(log) for log in logs])
-    times = times[np.isfinite(times)]
-    return (float(np.mean(times > 0.0)), float(times[times > 0.0].mean())) if times.any() else None
-
-
 def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
     """Return how many episodes ended with an adversary that walked into a standing car."""
     return sum(log.outcome == Outcome.COLLISION and log.impact_speed < STANDING for log in logs)

@@ -284,6 +284,12 @@ FIGURES = (
     Figure("slow", TIME, lambda p: p.slow, "mean time that the car takes longer than at its start speed with the road "
            "to itself, s", _PRICE, "slower than at its start speed", _LESS, independent=CI95,
            plain=lambda p: p.slow_ci95, recomputed=False, details=9, campaign=33, compare=31),
+    Figure("harmless_lane_left", SHARE, lambda p: (p.lanes_left or (None,))[0],
+           "share of these runs in which a corner of the car is beyond its lane; missing: in none", _PRICE,
+           "leaves its lane in harmless runs", recomputed=False, details=12, optional=True),
+    Figure("harmless_lane_left_time", TIME, lambda p: (p.lanes_left or (None, None))[1],
+           "mean time that a corner is beyond its lane in these, s", _PRICE, "time out of its lane in these",
+           recomputed=False, details=13, optional=True),
     Figure("price_of_caution", Kind(or_null(ref("price_of_caution"))), lambda p: p.as_dict(),
            "the runs behind it", _PRICE, recomputed=False),
     Figure("price_note", TEXT, lambda a: a.price_note, "why the price of caution is not known", recomputed=False),

@@ -37,6 +37,7 @@ class HarmlessRun(NamedTuple):
         undisturbed: the same on the empty road, s.
         unslowed: the same at the start speed, s.
         braked: whether it braked hard here alone.
+        lane_left: for how long a corner was beyond its lane, s.
     """
 
     kind: str
@@ -44,6 +45,7 @@ class HarmlessRun(NamedTuple):
     undisturbed: float
     unslowed: float
     braked: bool
+    lane_left: float = 0.0
 
     @property
     def lost(self) -> float:
@@ -129,6 +131,11 @@ class PriceOfCaution:
         return wilson_interval(self.deadlocks, len(self.runs))
 
     @property
+    def lanes_left(self) -> tuple[float, float] | None:
+        """In which share of the runs the car leaves its lane, and for how long, s; None: in none."""
+        return lanes_left([one.lane_left for one in self.runs])
+
+    @property
     def does_not_get_past(self) -> bool:
         """Whether the car surely does not get past people, in more than `DEADLOCK` of the runs."""
         return does_not_get_past({"deadlock_ci95": self.deadlock_ci95})
@@ -141,6 +148,16 @@ class PriceOfCaution:
             "aborted": self.aborted,
             "runs": [one._asdict() for one in self.runs],
         }
+
+
+def lanes_left(times: Sequence[float]) -> tuple[float, float] | None:
+    """Return the share of runs in which the car leaves its lane, and the mean time of those, s; None: in none.
+
+    Args:
+        times: for how long it does in each, s; nan of an aborted run.
+    """
+    known = np.array(times)[np.isfinite(times)]
+    return (float(np.mean(known > 0.0)), float(known[known > 0.0].mean())) if known.any() else None
 
 
 def stored_price(figures: Mapping[str, Any]) -> PriceOfCaution | None:

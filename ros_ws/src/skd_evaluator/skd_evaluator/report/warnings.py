@@ -52,6 +52,13 @@ def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
             f"{clipped['commands']} commands in {clipped['episodes']} episodes were beyond what this car can do; "
             "they were clipped"
         )
+    if result.get("lane_left") and result["scenario"]["road"].get("lanes"):
+        occupied = bool(result["scenario"].get("others"))
+        other, scenario = ("free", "oncoming_lane") if occupied else ("occupied", "oncoming_traffic")
+        found.append(
+            f"the car leaves its lane in {100 * result['lane_left']:.0f} % of the runs along φ: rate it with the other "
+            f"lane {other}, too, as scenario {scenario} has it; the lower margin counts"
+        )
     return [*found, *contact_warnings(result)]
 
 

@@ -120,7 +120,8 @@ def _definitions() -> dict[str, Any]:
                 kind="text what the road user does", passed="number when the car has got past, s",
                 undisturbed="number when it has with the road to itself, s",
                 unslowed="number when it would have at its start speed, s",
-                braked="flag whether it braked hard here alone")), "each run")),
+                braked="flag whether it braked hard here alone",
+                lane_left="number for how long a corner was beyond its lane, s")), "each run")),
         "clustering": Clustered.schema(),
         "margin_excess": Excess.schema(),
         "margin_source": _object(

@@ -9,7 +9,8 @@ scenario, how the graph is run, and SKD itself. Where its files are not known, n
 controller reads elsewhere, from the environment or from a server: if that changes, delete the file.
 
 How long kamikazes should wait is tried against the car itself. The search knows what it would see next, and so
-overrates what waiting gains; but with a car that can be hit while it creeps, too much haste costs as much.
+overrates what waiting gains; but with a car that can be hit while it creeps, too much haste costs as much. Of a car
+that evades, a model that predicts where it goes and one that takes it to be in its lane are tried.
 """
 
 from __future__ import annotations
@@ -145,12 +146,18 @@ def learn(plan: Plan, runner: Runner, progress: Progress = silent, of_reference:
         )
     ]
     recordings = _recordings(runner, probes, "learning the car: probes", progress)
-    first = learn_car(observe(recordings), version=version(), folds=1)
+    observed = observe(recordings)
+    plan = replace(plan, steers=plan.steers or observed.evades)
+    first = learn_car(observed, version=version(), folds=1)
     safe = _starts(plan.scenario, of_reference or runner)
     trials = own_trials(plan, car_model_text(first), safe, TRIALS)
     recordings += _recordings(runner, trials, "learning the car: trials", progress)
-    car = learn_car(observe(recordings), version=version(), folds=2)
-    return with_waiting_reward(plan, car, safe, runner, progress)
+    observed = observe(recordings)
+    tried = []
+    for data in (observed, observed.in_lane) if observed.evades else (observed,):
+        car = learn_car(data, version=version(), folds=2)
+        tried.append(with_waiting_reward(plan, car, safe, runner, progress))
+    return min(tried, key=lambda one: one[1])[0]
 
 
 def _starts(scenario: Scenario, runner: Runner) -> list[Trajectory]:
@@ -204,6 +211,7 @@ def own_trials(
             simulator=plan.simulator,
             car_model=car_model,
             objective=objectives[number // len(safe) % len(objectives)],
+            steers=plan.steers,
         )
         for number in range(begin, begin + count)
     ]
@@ -238,8 +246,10 @@ _ENOUGH: Final = 0.98  # of the trials hit: what is left to be gained is not in 
 
 def with_waiting_reward(
     plan: Plan, car: FittedCar, safe: Sequence[Trajectory], runner: Runner, progress: Progress
-) -> FittedCar:
-    """Return a learned car with the waiting reward by which kamikazes stray least; one that fails counts as η_max.
+) -> tuple[FittedCar, float]:
+    """Return a learned car with the waiting reward by which kamikazes stray least, and how far they do, m.
+
+    One that fails counts as η_max.
 
     If nearly all are hit with the reward that this kind of model has, it is kept, and nothing else is tried.
 
@@ -266,7 +276,7 @@ def with_waiting_reward(
             best, least = choice, mean
         if choice == usual and np.mean([log.hit for log in logs]) >= _ENOUGH:
             break
-    return replace(car, waiting_reward=best)
+    return replace(car, waiting_reward=best), least
 
 
 def _strayed(log: EpisodeLog) -> float:

@@ -22,6 +22,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Runner, stage
+from skd_evaluator.assessment.episode_figures import lane_left
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.metrics.price_of_caution import (
@@ -273,7 +274,9 @@ def _run(log: EpisodeLog, alone: EpisodeLog) -> HarmlessRun:
     assert log.episode.safe_trajectory is not None
     kind = log.episode.safe_trajectory.name.partition("/")[2]
     unslowed = float(_PASSED + scenario.car.rear - start) / scenario.car.start_speed
-    return HarmlessRun(kind, passes(log), passes(alone), unslowed, brakes(log, alone))
+    passed = passes(log)
+    on_its_way = replace(log, car=log.car[: math.ceil(passed / scenario.time_step) + 1])
+    return HarmlessRun(kind, passed, passes(alone), unslowed, brakes(log, alone), lane_left(on_its_way))
 
 
 def brakes(log: EpisodeLog, alone: EpisodeLog) -> bool:
