@@ -105,6 +105,7 @@ def assess(
             objectives,
             values["margin_limit"],
             values["curve"],
+            values["reference"],
             risk=risk,
             progress=progress or silent,
             fresh=fresh_process,

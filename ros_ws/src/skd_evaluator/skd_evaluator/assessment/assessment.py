@@ -20,7 +20,7 @@ from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.clustered import Clustered, GroupedMean, clustered_rate
 from skd_evaluator.metrics.deviation import deviation_pairs, mean_deviation
-from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins, optimality_gap
+from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins, ReferenceMargin, optimality_gap
 from skd_evaluator.metrics.measures import Pair, measure_pairs, pair_of
 from skd_evaluator.metrics.price_of_caution import PriceOfCaution, lanes_left
 from skd_evaluator.metrics.risks import Risks
@@ -258,6 +258,7 @@ class Assessment:
         price_note: why not; else empty.
         equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
         equivalent_note: how it was found, or why there is none.
+        reference: how the car stands beside each reference driver, if that was requested.
         budgets: how often kamikazes were hit that were bounded in their deviation, if that was requested.
         left_out: what recordings held besides, and why it does not count, a line each.
         warnings: what a reader should know of the episodes that count, a line each.
@@ -281,6 +282,7 @@ class Assessment:
     price_note: str = ""
     equivalent: EquivalentMultiplier | None = None
     equivalent_note: str = ""
+    reference: tuple[ReferenceMargin, ...] = ()
     budgets: tuple[BudgetPoint, ...] = ()
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

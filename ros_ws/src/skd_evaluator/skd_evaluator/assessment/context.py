@@ -75,6 +75,7 @@ class Context:
         objectives: objectives of the kamikazes, at least one.
         margin_limit: how many candidates the search for the margin may drive in each trial; 0: no margin.
         curve: whether kamikazes that are bounded in their deviation are run, for the vulnerability curve.
+        reference: whether the car is compared with the reference drivers.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
         risk: which risk is requested.
         progress: called with how far the work is.
@@ -89,6 +90,7 @@ class Context:
     objectives: tuple[Objective, ...] = DEFAULT_OBJECTIVES
     margin_limit: int = DEFAULT_MARGIN_LIMIT
     curve: bool = False
+    reference: bool = False
     until_width: float | None = None
     risk: RiskRequest = RiskRequest()
     progress: Progress = silent

@@ -121,6 +121,12 @@ class AssessmentOptions:
         commands=("assess",),
         marks=(RARE,),
     )
+    reference: bool = option(
+        False,
+        "also say between which reference drivers the car stands (UN R157's, emergency brakes, IDM), by their margins "
+        "in the same trials. The first time in these trials that takes minutes",
+        commands=("assess",),
+    )
 
 
 JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"

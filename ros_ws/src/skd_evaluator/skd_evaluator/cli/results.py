@@ -14,6 +14,7 @@ from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.gate import Gate
 from skd_evaluator.cli.output import print_json, say, warn
+from skd_evaluator.metrics.margins import reference_text
 from skd_evaluator.report.formats import counted
 from skd_evaluator.report.terminal import (
     command_ages,
@@ -98,7 +99,9 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
     print(headline(result))
     print_table(headline_table(result))
-    for line in filter(None, (command_ages(result), few_safe_trajectories(result))):
+    beside = reference_text(result.get("reference") or ())
+    reference = beside and f"Reference drivers: {beside}."
+    for line in filter(None, (reference, command_ages(result), few_safe_trajectories(result))):
         print(line)
     if not details:
         return

@@ -294,19 +294,19 @@ DEFINITION = 2
 """Of the margin of a trial: one more whenever what `exact_margin` gives for the same episode changes."""
 
 
-def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, trials: int, multiplier: float) -> str:
-    """Return the SHA-256 of all that the margins of a basic car depend on, in hexadecimal digits.
+def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, trials: int, driver: object) -> str:
+    """Return the SHA-256 of all that the margins of a car depend on, in hexadecimal digits.
 
     Args:
-        scenario: the scenario in which the basic car drives.
+        scenario: the scenario in which the car drives.
         safe: Φ, in the order of their numbers.
         seed: seed of the campaign.
         trials: how many trials there are on each φ.
-        multiplier: C of the basic car.
+        driver: C of a basic car; of another one its name, and what else its margins depend on.
     """
     described = {name: value for name, value in scenario.as_dict().items() if name not in ("name", "description")}
     paths = [[one.positions.shape, one.time_step] for one in safe]
-    about = json.dumps([DEFINITION, described, seed, trials, multiplier, paths], sort_keys=True)
+    about = json.dumps([DEFINITION, described, seed, trials, driver, paths], sort_keys=True)
     found = hashlib.sha256(about.encode())
     for one in safe:
         found.update(one.positions.astype("<f8").tobytes())

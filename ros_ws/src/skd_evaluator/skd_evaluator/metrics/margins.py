@@ -302,6 +302,46 @@ class MarginDifference:
     trials: int
 
 
+@dataclass(frozen=True)
+class ReferenceMargin(Entry):
+    """How a car stands beside a reference driver.
+
+    Attributes:
+        driver: name of the driver, as for `--controller`.
+        margin: its margin in the car's trials, m.
+        difference: mean difference of the margins, car less driver, m.
+        difference_ci95: 95 % interval of it by φ, m.
+        trials: how many trials both have.
+        bounds: whether the margins of the car and of the driver are upper bounds.
+    """
+
+    KEYS = "driver margin difference difference_ci95 trials verdict"
+    driver: str
+    margin: float
+    difference: float
+    difference_ci95: Interval
+    trials: int
+    bounds: tuple[bool, bool] = (False, False)
+
+    @property
+    def verdict(self) -> str:
+        """What the car is: `safer than`, `less safe than` or `not told apart from` the driver."""
+        low, high = self.difference_ci95
+        of_car, of_driver = self.bounds
+        if low > 0.0 and not of_car:
+            return VERDICTS[0]
+        return VERDICTS[2] if high < 0.0 and not of_driver else VERDICTS[1]
+
+
+VERDICTS = ("safer than", "not told apart from", "less safe than")
+
+
+def reference_text(found: Sequence[Mapping[str, Any]]) -> str:
+    """Return in a line between which reference drivers a car stands, from the entries of assessment.json."""
+    drivers = {verdict: [one["driver"] for one in found if one["verdict"] == verdict] for verdict in VERDICTS}
+    return "; ".join(f"{verdict} {', '.join(names)}" for verdict, names in drivers.items() if names)
+
+
 def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> MarginDifference | None:
     """Return the difference of two cars' margins, by trials that both have.
 

@@ -9,7 +9,7 @@ from typing import Any
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
-from skd_evaluator.metrics.margins import GAP_WARNING
+from skd_evaluator.metrics.margins import GAP_WARNING, reference_text
 from skd_evaluator.metrics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (
     NOTHING,
@@ -258,7 +258,9 @@ def _equivalent_basis(figures: Mapping[str, Any]) -> str:
     said = figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ"
     value, text = figures["equivalent_multiplier"], figures["equivalent_multiplier_text"] or ""
     stuck = text.startswith("above") if value is None else value >= 1.0
-    return f"{said}; with C ≥ 1 that car itself does not get past people" if stuck else said
+    said += "; with C ≥ 1 that car itself does not get past people" if stuck else ""
+    beside = reference_text(figures.get("reference") or ())
+    return f"{said}; {beside}" if beside else said
 
 
 def _equivalent_interval(style: Style, figures: Mapping[str, Any], name: str) -> str:

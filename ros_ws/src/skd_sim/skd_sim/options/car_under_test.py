@@ -45,6 +45,22 @@ _OWN = {
         "skd_sim.simulators.metadrive.expert:MetaDriveExpert", own=True, control_period=0.1, simulator="metadrive"
     ),
 }
+_REFERENCE = {
+    "cc_driver": "reference_drivers:CarefulDriver",
+    "reg157": "reference_drivers:Reg157",
+    "rss": "reference_drivers:RssDriver",
+    "fsm": "reference_drivers:FuzzyDriver",
+    "aeb_berkeley": "emergency_brakes:BerkeleyBrake",
+    "aeb_honda": "emergency_brakes:HondaBrake",
+    "aeb_mazda": "emergency_brakes:MazdaBrake",
+    "idm": "emergency_brakes:IdmDriver",
+}
+REFERENCE_DRIVERS = tuple(_REFERENCE)
+"""Published driver models that a car is compared with."""
+_OWN |= {
+    name: ControllerKind(f"skd_sim.controllers.{target}", own=True, control_period=0.1)
+    for name, target in _REFERENCE.items()
+}
 CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
 _EXTERNAL = ControllerKind("")
 _CLASS = re.compile(r"[\w.]+:[\w.]+|.+\.py:[\w.]+")

@@ -176,8 +176,9 @@ class EpisodeOptions:
 
     controller: str = option(
         DEFAULT,
-        "the car under test. SKD has basic (the paper's simple car), cal, carla and metadrive_expert. Your own "
-        "is file.py:Class, package.module:Class, a registered name, or external (a ROS node)",
+        "the car under test. SKD has basic (the paper's simple car), cal, carla, metadrive_expert, and the reference "
+        "drivers cc_driver, reg157, rss, fsm, aeb_berkeley, aeb_honda, aeb_mazda and idm. Your own is "
+        "file.py:Class, package.module:Class, a registered name, or external (a ROS node)",
         ControllerName,
         metavar="NAME",
         group="car and test",

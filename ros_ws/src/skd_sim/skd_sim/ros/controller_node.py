@@ -44,7 +44,11 @@ from skd_sim.ros.to_messages import acceleration_command
 class _ControllerOptions:
     """The table of the node's parameters."""
 
-    controller: str = option("", "basic, cal, carla, or package.module:Class", unset="the one that the episode names")
+    controller: str = option(
+        "",
+        "basic, cal, carla, rss, …, or package.module:Class",
+        unset="the one that the episode names",
+    )
     multiplier: float = option(
         -1.0, "C of the basic controller; negative: the one that the episode names", low=-1.0, high=100.0
     )

@@ -23,7 +23,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_
 from skd_evaluator.metrics.aborted import value_of
 from skd_evaluator.metrics.clustered import Clustered
 from skd_evaluator.metrics.entry import Schema, object_of, or_null, ref
-from skd_evaluator.metrics.margins import Excess
+from skd_evaluator.metrics.margins import Excess, ReferenceMargin
 from skd_evaluator.metrics.measures import Measured
 from skd_evaluator.metrics.risks import Risks
 from skd_evaluator.metrics.sample_size import UntilWidth
@@ -131,6 +131,7 @@ def _definitions() -> dict[str, Any]:
         "clusterings": _clusterings(AT_THE_TOP.values()),
         "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
         "until_width": UntilWidth.schema(),
+        "reference": ReferenceMargin.schema(),
         "static_test": StaticTest.schema(),
         "safe_trajectory": _object(**of_phi, **at_the_top),
         "safe_trajectory_of_objective": _object(**of_phi),

@@ -139,6 +139,7 @@ def requested(arguments: argparse.Namespace) -> dict[str, Any]:
         "objectives": objectives_named(arguments.objective),
         "margin_limit": arguments.margin_limit,
         "curve": arguments.curve,
+        "reference": arguments.reference,
         "until_width": arguments.until_width,
         "risk": risk_request(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset),
         "say": partial(say, arguments.command),

@@ -1,0 +1,255 @@
+"""Reference drivers of UN R157: the careful and competent driver, Reg157, RSS, and the fuzzy safety model (FSM).
+
+A driver sees each road user along the road's centre line (`Situation`), and reacts to what its law calls critical: it
+brakes after a delay, with a bounded jerk. Laws and constants are published, each beside its source. They are stepped
+ten times a second, as in the public code of the JRC (github.com/ec-jrc/JRC-FSM, 2021).
+
+What SKD adds is in `ReferenceDriver`. Published runs end with one emergency; here the driver goes back to its speed
+when its path is free. Published laws speak of cars; a pedestrian or a cyclist is to them another car of its size. That
+is SKD's own variant: where such a road user is seen first stands for the centre of its lane.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+
+from skd_sim.scenario.road import road_pose, road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import CarState, RoadUserState, Scene, to_body
+
+PERIOD = 0.1  # s between two decisions, as in the JRC's code
+GRAVITY = 9.81  # m/s²
+FULL_BRAKING = 0.774 * GRAVITY  # m/s², R157
+JERK = 12.65  # m/s³: full braking within 0.6 s, R157
+DELAY = 0.75  # s, R157: from the end of perception to the brake
+RESUME = 1.0  # m/s², with which a car goes back to its speed (JRC)
+
+
+class Situation(NamedTuple):
+    """A car and a road user ahead of its centre, along the road.
+
+    Attributes:
+        gap: from the car's front to the road user, m; negative beside the car.
+        length: of both together, along the road, m.
+        aside: from the car's side to the road user, m; negative where the road user is in the car's path.
+        speed: of the car, m/s.
+        lead: speed of the road user along the road, m/s.
+        closing: its speed across the road towards the car's path, m/s.
+        strayed: how far it has come towards the path since it was seen first, m.
+    """
+
+    gap: float
+    length: float
+    aside: float
+    speed: float
+    lead: float
+    closing: float
+    strayed: float
+
+    @property
+    def approach(self) -> float:
+        """By how much the car is faster, m/s."""
+        return self.speed - self.lead
+
+    @property
+    def time_to_collision(self) -> float:
+        """Time to collision along the road, s."""
+        return self.gap / self.approach if self.approach > 0.0 else math.inf
+
+    @property
+    def enters(self) -> bool:
+        """Whether it is in the car's path, or will be before the car has passed it (FSM's lateral check)."""
+        if self.aside <= 0.0:
+            return True
+        if self.closing <= 0.0 or self.approach <= 0.0:
+            return False
+        return self.aside / self.closing <= (self.gap + self.length) / self.approach + PERIOD
+
+
+class ReferenceDriver(ABC):
+    """A driver who keeps the speed, brakes for what is critical, and goes back to the speed when the path is free."""
+
+    control_period = PERIOD
+    delay, release = DELAY, 0.0
+    """Time (s) for which something is critical before the brake, and deceleration (m/s²) in it."""
+    jerk = JERK
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Take road, footprint and speed from the scenario; no law draws anything."""
+        car = scenario.car
+        self._line, self._desired = scenario.road.line, car.start_speed
+        self._front, self._middle, self._half_width = car.front, 0.5 * (car.front - car.rear), car.half_width
+        self._length = car.front + car.rear
+        self._shapes = [body.shape for body in (scenario.adversary, *scenario.others)]
+        self._first: list[float] = []
+        self._applied = 0.0
+        self._calm_down()
+
+    def _calm_down(self) -> None:
+        self._waited = self._deceleration = 0.0
+        self._reacts = False
+
+    def command(self, car: CarState, scene: Scene) -> float:
+        """Return the acceleration, m/s²."""
+        self._applied = self._answer(car.speed, self._situations(car, scene))
+        return self._applied
+
+    def _answer(self, speed: float, found: list[Situation]) -> float:
+        critical = [one for one in found if self.is_critical(one)]
+        if critical:
+            self._reacts = True
+            if self._waited < self.delay:
+                self._waited += PERIOD
+                return -self.release
+            demand = max(map(self.demand, critical))
+            self._deceleration = min(self._deceleration + self.jerk * PERIOD, demand)
+            return -self._deceleration
+        if self._reacts and any(one.aside <= 0.0 or one.closing > 0.0 for one in found):
+            return 0.0
+        self._calm_down()
+        return min(RESUME, max(-RESUME, (self._desired - speed) / PERIOD))
+
+    @abstractmethod
+    def is_critical(self, one: Situation) -> bool:
+        """Tell whether the driver reacts."""
+
+    def demand(self, one: Situation) -> float:
+        """Return the deceleration (m/s²) that the driver brakes with in the end."""
+        return FULL_BRAKING
+
+    def _situations(self, car: CarState, scene: Scene) -> list[Situation]:
+        """Return those of the road users that are ahead of the car's centre."""
+        here, side = road_position(self._line, car.x, car.y)
+        users = (scene.adversary, *scene.others)
+        places = [road_position(self._line, one.x, one.y) for one in users]
+        self._first = self._first or [abs(left - side) for _, left in places]
+        return [
+            self._situation(along - here, left - side, first, car.speed, one, shape, along)
+            for (along, left), first, one, shape in zip(places, self._first, users, self._shapes, strict=True)
+            if along - here > self._middle
+        ]
+
+    def _situation(
+        self,
+        ahead: float,
+        left: float,
+        first: float,
+        speed: float,
+        user: RoadUserState,
+        shape: tuple[float, float, float],
+        along: float,
+    ) -> Situation:
+        radius, half_length, half_width = shape
+        _, _, heading = road_pose(self._line, along)
+        cos, sin = abs(math.cos(user.heading - heading)), abs(math.sin(user.heading - heading))
+        half_along = radius or half_length * cos + half_width * sin
+        half_across = radius or half_length * sin + half_width * cos
+        lead, to_left = to_body(user.vx, user.vy, heading)
+        return Situation(
+            gap=ahead - self._front - half_along,
+            length=self._length + 2.0 * half_along,
+            aside=abs(left) - self._half_width - half_across,
+            speed=speed,
+            lead=lead,
+            closing=-math.copysign(1.0, left) * to_left,
+            strayed=first - abs(left),
+        )
+
+
+class CarefulDriver(ReferenceDriver):
+    """R157's careful and competent driver (Annex 4, Appendix 3; in the 01 series Annex 3, performance model 1)."""
+
+    WANDERING = 0.375  # m to the side that cars drive without a meaning
+    PERCEPTION = 0.4  # s to perceive the risk
+    TIME_TO_COLLISION = 2.0  # s, above which there is no danger
+    release = 0.4  # m/s² of a released pedal (JRC)
+
+    def is_critical(self, one: Situation) -> bool:
+        """Tell whether it is in the path or perceived to come over, and less than 2 s away."""
+        comes = one.closing > 0.0 and one.strayed >= self.WANDERING + self.PERCEPTION * one.closing
+        return (one.aside <= 0.0 or comes) and one.time_to_collision <= self.TIME_TO_COLLISION
+
+
+class Reg157(ReferenceDriver):
+    """R157's limit for cut-ins (5.2.5.2): who brakes no earlier than it has to, at 6 m/s² after 0.35 s."""
+
+    BRAKING = 6.0  # m/s²
+    BESIDE = 0.5  # m from the car's path, where a road user has intruded (JRC)
+    delay, jerk = 0.35, math.inf
+
+    def is_critical(self, one: Situation) -> bool:
+        """Tell whether it has intruded, and the time to collision is down to v/(2·6 m/s²) + 0.35 s."""
+        least = one.approach / (2.0 * self.BRAKING) + self.delay + PERIOD
+        return one.aside <= self.BESIDE and one.time_to_collision <= least
+
+    def demand(self, one: Situation) -> float:
+        """Return 6 m/s²."""
+        return self.BRAKING
+
+
+class RssDriver(ReferenceDriver):
+    """Responsibility-Sensitive Safety (Shalev-Shwartz et al. 2017, arXiv 1708.06374); constants of the JRC's code."""
+
+    RESPONSE = 0.75  # s
+    ACCELERATION, BRAKING = 3.0, 6.0  # m/s², of the car and of who leads
+    ACROSS = 1.0  # m/s², acceleration and braking to the side
+    FLUCTUATION = 0.3  # m, μ
+
+    def is_critical(self, one: Situation) -> bool:
+        """Tell whether both distances are less than safe (definitions 1 and 6)."""
+        along = self._covered(one.speed, self.ACCELERATION, self.BRAKING)
+        along -= max(0.0, one.lead) ** 2 / (2.0 * self.BRAKING)
+        across = self.FLUCTUATION + max(0.0, self._covered(one.closing, self.ACROSS, self.ACROSS))
+        return one.gap < along and one.aside < across
+
+    def _covered(self, speed: float, acceleration: float, braking: float) -> float:
+        """Return what one covers who accelerates for the response time and then brakes, m."""
+        after = speed + self.RESPONSE * acceleration
+        return 0.5 * (speed + after) * self.RESPONSE + max(0.0, after) ** 2 / (2.0 * braking)
+
+
+class FuzzyDriver(ReferenceDriver):
+    """The fuzzy safety model (Mattas et al. 2020, 2022; R157, 01 series, Annex 3, performance model 2)."""
+
+    COMFORTABLE, HARD = 4.0, 6.0  # m/s² of the car
+    LEAD = 7.0  # m/s², of who leads
+    STANDING, MARGIN = 2.0, 2.0  # m, between two who stand, and more to be safe
+
+    def is_critical(self, one: Situation) -> bool:
+        """Tell whether it is in the path, or will be, and either metric says that it is not wholly safe."""
+        return one.enters and self.proactive(one) + self.critical(one) > 0.0
+
+    def demand(self, one: Situation) -> float:
+        """Return a deceleration between comfortable and hard where a collision is near, below comfortable if not."""
+        critical = self.critical(one)
+        if critical > 0.0:
+            return self.COMFORTABLE + critical * (self.HARD - self.COMFORTABLE)
+        return self.proactive(one) * self.COMFORTABLE
+
+    def proactive(self, one: Situation) -> float:
+        """Return the proactive metric PFS, from 0 (safe even if who leads brakes fully) to 1."""
+        base = one.speed * DELAY - max(0.0, one.lead) ** 2 / (2.0 * self.LEAD)
+        safe = base + one.speed**2 / (2.0 * self.COMFORTABLE) + self.MARGIN
+        return _share(one.gap - self.STANDING, safe, base + one.speed**2 / (2.0 * self.HARD))
+
+    def critical(self, one: Situation) -> float:
+        """Return the critical metric CFS, from 0 (safe if who leads keeps its speed) to 1."""
+        if one.approach <= 0.0:
+            return 0.0
+        acceleration = max(self._applied, -self.COMFORTABLE)
+        then = one.approach + DELAY * acceleration
+        if then < 0.0:
+            return float(one.gap < one.approach**2 / (2.0 * abs(self._applied)))
+        base = (one.approach + 0.5 * DELAY * acceleration) * DELAY
+        return _share(one.gap, base + then**2 / (2.0 * self.COMFORTABLE), base + then**2 / (2.0 * self.HARD))
+
+
+def _share(gap: float, safe: float, unsafe: float) -> float:
+    """Return 0 above the safe gap, 1 below the unsafe one, and a line in between."""
+    if gap > safe:
+        return 0.0
+    return 1.0 if gap < unsafe else (safe - gap) / (safe - unsafe)
