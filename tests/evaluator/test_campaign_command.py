@@ -144,7 +144,7 @@ def test_a_cell_that_fails_costs_no_other(here, skd_here, monkeypatch):
     one_line(skd_here("campaign", "campaign.yaml", "--out", "out"), 2, "--out out", "--resume")
     (here / "my_cars.py").write_text((here / "my_cars.py").read_text().replace("1 / 0", "0.0"))
     refused = skd_here("campaign", "campaign.yaml", "--out", "out", "--resume")
-    one_line(refused, 2, "--out out", f"{here / 'my_cars.py'}", "has changed from", "give another --out")
+    one_line(refused, 2, "--out out", f"{here / 'my_cars.py'}", "of a car has changed", "give another --out")
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--overwrite", "--workers", "1")
     assert done.returncode == 0
     assert [row["state"] for row in campaign(here)["cells"]] == ["done", "done"]
@@ -335,4 +335,5 @@ def test_another_car_behind_the_same_module_is_refused(here, monkeypatch, name, 
         (here / name).write_text(text)
     with pytest.raises(UsageError) as caught:
         CampaignFolder(here / "out", make_cells(combinations), resume=True)
-    assert f"file.{here / 'read_car.py'} of cell read_car-Car has changed from" in str(caught.value)
+    how = "gone" if text is None else "come" if name == "nets/new.bin" else "changed"
+    assert f"file {here / name} of a car has {how} since this campaign began" in str(caught.value)

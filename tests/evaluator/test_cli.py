@@ -5,6 +5,7 @@ import itertools
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -200,7 +201,8 @@ def test_interrupted(here, name, number, to_all, processes):
         assert printed[0] == ""
         assert process.returncode == 130
     assert (here / "out" / "assessment.json").read_text() == "old"
-    assert [name for name in names(here) if not name.startswith(PREFIX)] == ["good.csv", "my_cars.py", "out", "work"]
+    left = [name for name in names(here) if not name.startswith((PREFIX, "out.unfinished."))]
+    assert left == ["good.csv", "my_cars.py", "out", "work"]
     assert names(here / "work") == []
     assert names(here / "out") == ["assessment.json"]
 
@@ -221,16 +223,30 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
         done = process.finish(PATIENCE)
         assert done.returncode == 130
         (line,) = [line for line in done.stderr.splitlines() if not line.startswith("skd: ")]
-        kept = int(re.search(r"interrupted; (\d+) episodes kept, .*; go on with: .* --resume$", line)[1])
+        said = r"interrupted; (\d+) episodes kept in out\.unfinished\.sqlite; .*; go on with: skd assess --resume out$"
+        kept = int(re.search(said, line)[1])
         assert kept > 100
         one_line(skd(*command, cwd=here, N=counted.name), 2, "was interrupted; --resume goes on with it")
-        one_line(skd(*command, "--resume", "--seed", "5", cwd=here, N=counted.name), 2, "with other options")
+        changed = skd("assess", "--resume", "out", "--seed", "5", cwd=here, N=counted.name)
+        one_line(changed, 2, "--seed was 0 and is now 5; leave it out")
+        one_line(skd("assess", "--resume", "other", cwd=here), 2, "nothing to go on with in other")
+        one_line(skd("assess", "--resume", cwd=here), 2, "nothing in skd_results was interrupted")
+        (here / "elsewhere").mkdir()
+        one_line(skd("assess", "--resume", "../out", cwd=here / "elsewhere"), 2, f"was begun in {here}")
+        code = (here / "my_cars.py").read_text()
+        (here / "my_cars.py").write_text(f"{code}\n")
+        one_line(skd("assess", "--resume", "--out", "out", cwd=here), 2, f"{here}/my_cars.py has changed; put it back")
+        (here / "my_cars.py").write_text(code)
+        (here / "notes.py").write_text("")
         assert not (here / "out").exists()
         before = counted.stat().st_size
-        done = skd(*command, "--resume", "--json", cwd=here, N=counted.name)
+        done = skd("assess", "--resume", "out", "--json", cwd=here, N=counted.name)
         assert done.returncode == 0, done.stderr
+        assert f"taken for no part of the car: {here}/notes.py" in done.stderr
         resumed, run = json.loads(done.stdout), counted.stat().st_size - before
+        assert resumed["provenance"]["command"] == shlex.join(["skd", *map(str, command)])
         assert not list(here.glob(f"{PREFIX}*"))
+        assert not list(here.glob("*.sqlite*"))
         before = counted.stat().st_size
         whole = json.loads(skd(*command[:-4], "--json", "--margin-limit", "0", cwd=here, N=counted.name).stdout)
         assert counted.stat().st_size - before >= run + kept - 1

@@ -71,14 +71,33 @@ def code_digests(car: CarUnderTest, command: str = "", others: Iterable[str] = (
     Returns:
         None where it is not known which files these are, or they are too many.
     """
+    found = _files_of_code(car, command, others)
+    return None if found is None else {path: digest_of(files) for path, files in found.items()}
+
+
+def code_files(car: CarUnderTest, command: str = "") -> dict[str, str] | None:
+    """Return the SHA-256 of each single file of a user's code, by its path; arguments and None as `code_digests`."""
+    found = _files_of_code(car, command)
+    return None if found is None else sums_of(found)
+
+
+def sums_of(paths: Iterable[str]) -> dict[str, str]:
+    """Return the SHA-256 of each file of packages and modules, by its path; nothing of what cannot be read."""
+    found = {}
+    for file in (file for path in paths for file in files_of(Path(path))):
+        with suppress(OSError, UsageError):  # it was removed meanwhile
+            found[str(file)] = sha256_of(file)
+    return found
+
+
+def _files_of_code(car: CarUnderTest, command: str, others: Iterable[str] = ()) -> dict[str, list[Path]] | None:
+    """Return the files of a user's code by package folder, module or named file; None as `code_digests`."""
     paths = code_paths(car, command)
     if not paths and not car.is_own:
         return None
     paths += [path for target in others if (path := _path_of_target(target)) is not None]
     files = {str(path): files_of(path) for path in dict.fromkeys(paths)}
-    if any(len(found) > MOST_FILES for found in files.values()):
-        return None
-    return {path: digest_of(found) for path, found in files.items()}
+    return None if any(len(found) > MOST_FILES for found in files.values()) else files
 
 
 def code_paths(car: CarUnderTest, command: str = "") -> list[Path]:

@@ -13,7 +13,7 @@ import json
 import math
 import sqlite3
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
@@ -32,6 +32,21 @@ from skd_evaluator.assessment.context import Runner
 from skd_evaluator.errors import AssessmentError
 
 DIGEST_BYTES = 16
+
+
+def flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one, with the keys in between joined by dots."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return found
+
+
+def changes(then: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return what differs in plain data, by its keys joined by dots: value then and now; None of what is not there."""
+    before, after = flat(then), flat(json.loads(json.dumps(now)))
+    pairs = {key: (before.get(key), after.get(key)) for key in {**after, **before}}
+    return {key: (one, other) for key, (one, other) in pairs.items() if one != other}
 
 
 def digest(*parts: bytes) -> bytes:
@@ -113,7 +128,7 @@ def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
 
 
 FILE_NAME = "episodes.sqlite"
-_FORMAT = 4
+_FORMAT = 5
 _TABLE = """
 CREATE TABLE episodes (
     cell BLOB NOT NULL,
@@ -125,6 +140,7 @@ CREATE TABLE episodes (
     PRIMARY KEY (cell, specification)
 )
 """
+_ABOUT = "CREATE TABLE about (content TEXT NOT NULL)"
 
 
 class StoreError(AssessmentError):
@@ -167,6 +183,7 @@ class EpisodeStore:
             if not tables and not version:
                 ask("BEGIN IMMEDIATE")
                 ask(_TABLE)
+                ask(_ABOUT)
                 ask(f"PRAGMA user_version = {_FORMAT}")
                 ask("COMMIT")
             elif version != _FORMAT:
@@ -191,8 +208,7 @@ class EpisodeStore:
 
     def _damaged(self, why: str) -> StoreError:
         return StoreError(
-            f"{self._path}: damaged ({why}); delete it and add --resume: cells that are done stay, episodes of the "
-            "others are run again and come out the same"
+            f"{self._path}: damaged ({why}); delete it and start the same command again: its episodes come out the same"
         )
 
     def _ask(self, statement: str, values: Sequence[object] = ()) -> list[tuple[bytes, ...]]:
@@ -234,6 +250,18 @@ class EpisodeStore:
                 digest(cell, specification, data),
             ),
         )  # fmt: skip
+
+    def about(self) -> dict[str, Any]:
+        """Return what was written of all episodes; empty where nothing was."""
+        rows = self._ask("SELECT content FROM about")
+        try:
+            return dict(json.loads(rows[-1][0])) if rows else {}
+        except ValueError as error:
+            raise self._damaged(str(error)) from error
+
+    def write_about(self, content: Mapping[str, Any]) -> None:
+        """Keep, as JSON, what holds of all episodes."""
+        self._ask("INSERT INTO about VALUES (?)", (json.dumps(content),))
 
     def count(self) -> int:
         """Return how many episodes there are."""

@@ -23,21 +23,23 @@ from skd_evaluator.cli.arguments import (
     add_graph_arguments,
     add_value,
     graph_options,
+    parameters_of,
     positive_number,
     result_folder,
     runner_of,
 )
 from skd_evaluator.cli.gate import Gate, add_gate_arguments, gate_of
 from skd_evaluator.cli.output import print_json, say
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser, rare
+from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser, make_parser, parse, rare
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.files import PREFIX
 
 if TYPE_CHECKING:  # help reads this module, and they take time
     from skd_evaluator.assessment.assessment import Assessment
     from skd_evaluator.assessment.context import Runner
     from skd_evaluator.assessment.files.result_folder import ResultFolder
     from skd_evaluator.assessment.plan import Plan
+
+_UNFINISHED = ".unfinished.sqlite"
 
 
 def add(parser: Parser) -> None:
@@ -52,7 +54,9 @@ def add(parser: Parser) -> None:
     add_graph_arguments(parser, "assess", optional=True)
     add_campaign_arguments(parser, "assess")
     add_gate_arguments(parser)
-    add_flag(parser, "--resume", "go on with the assessment in --out that was interrupted")
+    text = "go on with the interrupted assessment in DIR, or in --out; its options need not be repeated"
+    parser.add_argument("--resume", nargs="?", const="", metavar="DIR", help=text)
+    parser.set_defaults(read_parameters=_given_elsewhere)
     add_flag(parser, "--details", DETAILS)
     add_flag(parser, "--no-pictures", rare("draw no pictures, which saves about a second"))
     text = "add --safe-count trajectories at a time, at most 10 times, until the planned deviation's interval is W wide"
@@ -76,6 +80,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     from skd_evaluator.ros.session import prepare_ros
 
     begin = time.perf_counter()
+    if arguments.resume is not None:
+        arguments.command_line = ["skd", *arguments.begun]
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=arguments.graph))
     make_simulator(plan.simulator)
@@ -87,7 +93,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     if arguments.graph:
         prepare_ros(graph_options(arguments))
-    _check_resume(arguments)
+    if arguments.resume is None and arguments.out and not arguments.overwrite and _is_unfinished(arguments.out):
+        raise UsageError(f"--out {arguments.out}: was interrupted; --resume goes on with it, --overwrite begins anew")
     out = result_folder(arguments)
     command = arguments.controller_command or ""
     assessment = Assessment(plan, provenance=provenance(arguments.command_line, plan.car, controller_command=command))
@@ -108,25 +115,57 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     return print_result(assessment, out, arguments, gate, problem)
 
 
-def _kept_in(out: Path) -> Path:
-    """Return the hidden file beside the results in which episodes are kept until these are written."""
-    return out.with_name(f"{PREFIX}{out.name}.sqlite")
+def unfinished(out: Path) -> Path:
+    """Return the file beside the results in which episodes are kept until these are written."""
+    return out.with_name(f"{out.name}{_UNFINISHED}")
 
 
-def _check_resume(arguments: argparse.Namespace) -> None:
-    """Refuse to resume what is not there or complete, and to begin anew without a word what was interrupted."""
-    if arguments.out is None:
-        if arguments.resume:
-            raise UsageError("--resume needs --out: the folder of the assessment to go on with")
-        return
-    out = Path(arguments.out)
-    kept = os.path.isfile(_kept_in(out))  # noqa: PTH113 - which is false of a name that no file can have
-    if arguments.resume and not kept:
+def _is_unfinished(out: Path) -> bool:
+    return os.path.isfile(unfinished(out))  # noqa: PTH113 - which is false of a name that no file can have
+
+
+def _given_elsewhere(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return options by name that are not on the command line: of -p, of a file, of what --resume goes on with.
+
+    Raises:
+        UsageError: there is nothing to go on with, or it was begun elsewhere.
+    """
+    given = parameters_of(arguments)
+    if arguments.resume is None:
+        return given
+    from skd_evaluator.assessment.files.episode_store import EpisodeStore
+
+    out = _to_resume(arguments)
+    store = EpisodeStore(unfinished(out))
+    begun = store.about()
+    store.close()
+    if (folder := begun["folder"]) != str(Path.cwd()):
+        raise UsageError(f"--resume: {out} was begun in {folder}; go on with it there")
+    words = ["assess", *begun["words"]]
+    kept = vars(parse(make_parser(words), words))
+    repeated = [name for name, value in vars(arguments).items() if value and isinstance(value, list)]
+    for name in ("resume", "param", "params_file", *repeated):
+        kept.pop(name, None)
+    return {**kept, **given, "out": out, "begun": words}
+
+
+def _to_resume(arguments: argparse.Namespace) -> Path:
+    """Return the folder of the assessment that --resume goes on with."""
+    if arguments.resume and arguments.out not in (None, Path(arguments.resume)):
+        raise UsageError(f"--resume {arguments.resume} --out {arguments.out}: give one of them")
+    if not (named := arguments.resume or arguments.out):
+        found = [str(path).removesuffix(_UNFINISHED) for path in sorted(Path("skd_results").glob(f"*{_UNFINISHED}"))]
+        if len(found) > 1:
+            raise UsageError(f"--resume: several were interrupted; name one: {', '.join(found[:5])}")
+        if not found:
+            raise UsageError("--resume: nothing in skd_results was interrupted; name its folder")
+        return Path(found[0])
+    out = Path(named)
+    if not _is_unfinished(out):
         complete = (out / "assessment.json").is_file() and not arguments.overwrite
         why = "it is complete" if complete else "no interrupted assessment is kept"
-        raise UsageError(f"--resume: nothing to go on with in --out {out}: {why}")
-    if kept and not (arguments.resume or arguments.overwrite):
-        raise UsageError(f"--out {out}: was interrupted; --resume goes on with it, --overwrite begins anew")
+        raise UsageError(f"--resume: nothing to go on with in {out}: {why}")
+    return out
 
 
 def requested(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -228,53 +267,54 @@ class _KeptEpisodes:
         """Open the file, or begin it.
 
         Raises:
-            UsageError: --resume is given, and what is kept is of another request, car or version.
+            UsageError: --resume is given, and what is kept is of other options, files or versions; says which.
         """
-        from skd_evaluator.assessment.files.episode_store import EpisodeStore, digest_of, remove_files
-        from skd_evaluator.provenance import code_digests, environment
+        from skd_evaluator.assessment.files.episode_store import EpisodeStore, remove_files
 
-        self._arguments, self._out = arguments, out
-        path, plan = _kept_in(out), assessment.plan
-        if not arguments.resume:
-            remove_files(path)
-        files = code_digests(plan.car, arguments.controller_command or "")
-        request = {key: str(value) for key, value in vars(plan).items() if key != "scenario"}
-        request["scenario"] = digest_of(plan.scenario.as_dict()).hex()
-        self._key = digest_of({"files": files, "environment": dict(environment()), "request": request})
-        self._store = EpisodeStore(path)
-        if self._store.cells() not in ([], [self._key]):
+        self._arguments, self._out, self._path = arguments, out, unfinished(out)
+        if arguments.resume is None:
+            remove_files(self._path)
+        begun = _begun(arguments, assessment.plan)
+        self._store = EpisodeStore(self._path)
+        if not (then := self._store.about()):
+            self._store.write_about(begun)
+            return
+        try:
+            _check_the_same(then, begun)
+        except UsageError:
             self._store.close()
-            raise UsageError(f"--resume: {out} was begun with other options, another SKD or other files of the car")
+            raise
 
     def runner(self, runner: Runner) -> Runner:
         """Return a runner that reads what there is, and keeps what it runs."""
         from skd_evaluator.assessment.files.episode_store import StoringRunner
 
-        return StoringRunner(runner, self._store, self._key, threading.Event())
+        return StoringRunner(runner, self._store, b"", threading.Event())
 
     def _count(self) -> str:
         number = self._store.count()
-        return f"{number} episode{'s' if number != 1 else ''} kept" if number else ""
+        return f"{number} episode{'s' if number != 1 else ''} kept in {self._path}" if number else ""
+
+    def _go_on(self) -> str:
+        """Return the command that goes on."""
+        from skd_evaluator.report.repeat import program
+
+        return shlex.join([program(), "assess", "--resume", str(self._out)])
 
     def interrupted(self) -> int:
         """Say in one line how to go on, and return the exit code."""
-        from skd_evaluator.report.repeat import program
-
-        words = [word for word in self._arguments.command_line if word != "--resume"]
-        words += [] if self._arguments.out else ["--out", str(self._out)]
-        go_on = shlex.join([program(), *words[1:], "--resume"])
         if self._arguments.json:
-            print_json({"interrupted": True, "episodes": self._store.count(), "resume": go_on})
+            print_json({"interrupted": True, "episodes": self._store.count(), "resume": self._go_on()})
         kept = self._count()
-        anew = "" if self._arguments.graph else ", but for the margin's search"
-        again = f"{kept}{anew}; go on with: {go_on}" if kept else "nothing to keep yet"
+        anew = "" if self._arguments.graph else "; the margin's search begins anew"
+        again = f"{kept}{anew}; go on with: {self._go_on()}" if kept else "nothing to keep yet"
         say(self._arguments.command, f"interrupted; {again}")
         return EXIT_INTERRUPTED
 
     def failed(self, error: AssessmentError) -> AssessmentError:
         """Return the error with how to go on."""
         kept = self._count()
-        return type(error)(f"{error}; {kept}: --out {self._out} --resume goes on") if kept else error
+        return type(error)(f"{error}; {kept}; go on with: {self._go_on()}") if kept else error
 
     def close(self, *, done: bool) -> None:
         """Let go of the file; remove it when the results are written, or nothing is in it."""
@@ -282,3 +322,50 @@ class _KeptEpisodes:
             self._store.remove()
         else:
             self._store.close()
+
+
+def _begun(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
+    """Return what the episodes of an assessment follow from, as plain data, and how it was begun."""
+    from skd_sim.options.options import options_of
+
+    from skd_evaluator.assessment.options import OF_NO_RESULT, AssessmentOptions, CampaignOptions, GraphOptions
+    from skd_evaluator.provenance import code_files, environment
+
+    tables = (CampaignOptions, AssessmentOptions, GraphOptions)
+    names = {one.name for table in tables for one in options_of(table) if "assess" in one.commands}
+    names = (names | {"graph", "scenario", "until_width"}) - OF_NO_RESULT - {"name"}
+    return {
+        "words": arguments.command_line[2:],
+        "folder": str(Path.cwd()),
+        "options": {name: str(getattr(arguments, name)) for name in sorted(names)},
+        "scenario": plan.scenario.as_dict(),
+        "files": code_files(plan.car, arguments.controller_command or ""),
+        "environment": dict(environment()),
+    }
+
+
+def _check_the_same(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Refuse to go on where an option, a file or a version has changed, and say which.
+
+    New files are named and accepted: what ran before did not read them.
+
+    Raises:
+        UsageError: something has changed.
+    """
+    from skd_evaluator.assessment.files.episode_store import changes
+
+    new = []
+    for key, (first, second) in changes({**then, "words": 0}, {**now, "words": 0}).items():
+        part, _, name = key.partition(".")
+        what, advice = f"{name} was {first} and is now {second}", "put it back"
+        if part == "options":
+            what, advice = f"--{name.replace('_', '-')} was {first} and is now {second}", "leave it out"
+        elif part == "files" and first is None:
+            new.append(name)
+            continue
+        elif part == "files":
+            what = f"{name} {'has gone' if second is None else 'has changed'}"
+        raise UsageError(f"--resume: {what}; {advice}, or begin anew with --overwrite")
+    if new:
+        more = f" and {len(new) - 1} more" if len(new) > 1 else ""
+        say("assess", f"--resume: new since then, and taken for no part of the car: {new[0]}{more}")

@@ -37,6 +37,7 @@ from skd_evaluator.assessment.files.episode_store import (
     StoppedError,
     StoreError,
     StoringRunner,
+    changes,
     remove_files,
 )
 from skd_evaluator.assessment.files.episode_store import FILE_NAME as STORE
@@ -58,7 +59,7 @@ from skd_evaluator.extensions.campaign.cells import (
     open_row,
 )
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask
-from skd_evaluator.provenance import date_now, provenance
+from skd_evaluator.provenance import date_now, provenance, sums_of
 from skd_evaluator.report.presentation import fill
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import assess_through_graph
@@ -114,7 +115,8 @@ class CampaignFolder:
             else:
                 left.unlink(missing_ok=True)
         known = self.path / CELLS
-        requested = {"cells": [{"name": cell.name, **cell.identity} for cell in cells]}
+        paths = {path for cell in cells for path in cell.identity["file"] or ()}
+        requested = {"cells": [{"name": cell.name, **cell.identity} for cell in cells], "files": sums_of(sorted(paths))}
         if known.exists():
             before = _read_json(known)
             if resume:
@@ -147,17 +149,17 @@ class CampaignFolder:
 
     def _refuse_changed(self, requested: Mapping[str, Any], before: Mapping[str, Any]) -> None:
         """Refuse to go on with a campaign of which something has changed, and say what."""
-        then = {str(cell["name"]): _flat(cell) for cell in before["cells"]}
-        now = {str(cell["name"]): _flat(cell) for cell in json.loads(json.dumps(requested))["cells"]}
         advice = "since this campaign began; put it back, or give another --out"
+        then, now = ({str(cell["name"]): cell for cell in one["cells"]} for one in (before, requested))
         if other := sorted(then.keys() ^ now.keys()):
             raise UsageError(f"{self._option}: cell {other[0]} has {'come' if other[0] in now else 'gone'} {advice}")
+        for file, (first, second) in changes(before.get("files", {}), requested["files"]).items():
+            how = "come" if first is None else "gone" if second is None else "changed"
+            raise UsageError(f"{self._option}: file {file} of a car has {how} {advice}")
         for name, cell in now.items():
-            for key in {**cell, **then[name]}:
-                first, second = then[name].get(key), cell.get(key)
-                if first != second:
-                    what = f"has changed from {short(first)} to {short(second)}"
-                    raise UsageError(f"{self._option}: {key} of cell {name} {what} {advice}")
+            for key, (first, second) in changes(then[name], cell).items():
+                what = f"has changed from {short(first)} to {short(second)}"
+                raise UsageError(f"{self._option}: {key} of cell {name} {what} {advice}")
 
     def _clear(self, cells: Sequence[str]) -> None:
         """Remove the campaign that is there, by its cells; the file that says that there is one goes last."""
@@ -260,17 +262,6 @@ def _read_json(path: Path) -> dict[str, Any]:
     if not isinstance(cells, list) or not all(isinstance(one, dict) and "name" in one for one in cells):
         raise UsageError(f"{path}: is not of a campaign; give another --out")
     return dict(data)
-
-
-def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested mappings as one, with the keys in between joined by dots."""
-    found: dict[str, Any] = {}
-    for key, value in content.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{key}.")
-        else:
-            found[f"{prefix}{key}"] = value
-    return found
 
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
