@@ -18,12 +18,13 @@ from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.rounds import confirmed, in_processes
-from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
+from skd_evaluator.margin.search.search import IN_PROCESS, WARM_START, Earlier, Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import Controller
+from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, controller_generator, controller_seed
@@ -318,3 +319,28 @@ def test_along_the_lane_the_search_finds_the_exact_margin():
     assert margins["margin_budget"] > 0
     assert known["margin"] > 0.05
     assert known["margin"] - 1e-9 <= margins["margin"] <= 1.02 * known["margin"]
+
+
+def test_from_the_hits_of_an_earlier_version_the_same_margin_takes_a_fifth():
+    trials, car = episodes(1.0, 24), Driver(Delayed())
+    whole = search_margins(trials, {}, car.rounds, IN_PROCESS._replace(limit=256))
+    hits = [prescribed(one, hit.safe_trajectory.positions) for one, hit in zip(trials, whole.episodes, strict=True)]
+    logs = {log.episode.episode_id: log for log in car.run(hits)}
+    mean = whole.means[-1][1]
+    again = search_margins(trials, {}, car.rounds, WARM_START, Earlier(logs, mean))
+    assert 0.98 * mean <= again.means[-1][1] <= mean
+    assert 5 * again.driven < whole.driven
+    changed = search_margins(trials, {}, car.rounds, WARM_START._replace(limit=64), Earlier(logs, 2 * mean))
+    assert changed.search.budget >= 64  # another margin than the earlier one is no reason to stop early
+
+
+def test_an_assessment_says_from_which_result_its_search_began(tmp_path):
+    small = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 1, "margin_limit": 8, "behaviour": "none"}
+    small["adversary_model"] = "generic"
+    first = assess("cal", out=tmp_path / "first", **small).as_dict()
+    second = assess("cal", warm_start=str(tmp_path / "first"), **small).as_dict()
+    assert second["margin_how"] == f"from the hits of {tmp_path / 'first'} on"
+    assert not first["margin_how"]
+    assert second["margin"] <= first["margin"]
+    with pytest.raises(UsageError, match="has no margin on these φ with this seed"):
+        assess("cal", warm_start=str(tmp_path / "first"), seed=1, **small)

@@ -109,6 +109,7 @@ def assess(
             risk=risk,
             progress=progress or silent,
             fresh=fresh_process,
+            earlier=load_result(values["warm_start"]) if values["warm_start"] else None,
         )
         assessment = assess_in_process(context, Assessment(plan, provenance=origin))
         seconds, failed = time.perf_counter() - begin, with_failures(assessment, values["max_aborted"] / 100.0)

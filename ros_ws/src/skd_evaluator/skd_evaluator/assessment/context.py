@@ -14,6 +14,7 @@ from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT, GraphOptions
 from skd_evaluator.metrics.behaviour.model import Behaviour
 
 if TYPE_CHECKING:
+    from skd_evaluator.assessment.files.results import StoredResult
     from skd_evaluator.assessment.run.workers import Workers
 
 
@@ -74,6 +75,7 @@ class Context:
         workers: compute, and run episodes that need no graph: processes of this machine or of a cluster.
         objectives: objectives of the kamikazes, at least one.
         margin_limit: how many candidates the search for the margin may drive in each trial; 0: no margin.
+        earlier: result of an earlier version of the car, with whose hits the search for the margin begins; None: none.
         curve: whether kamikazes that are bounded in their deviation are run, for the vulnerability curve.
         reference: whether the car is compared with the reference drivers.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
@@ -98,6 +100,7 @@ class Context:
     graph: GraphOptions | None = None
     repeats: bool = True
     fresh: Fresh | None = None
+    earlier: StoredResult | None = None
 
     @property
     def holds_commands(self) -> bool:

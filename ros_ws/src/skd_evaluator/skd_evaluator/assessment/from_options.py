@@ -168,7 +168,7 @@ def inputs_of(values: Mapping[str, Any]) -> list[Path]:
     found = [one for name, value in values.items() if name not in _WRITTEN for one in _paths(value)]
     if values.get("safe") not in _WORDS:
         found.append(Path(str(values["safe"])))
-    models = [values.get(name) for name in ("car_model", "behaviour")]
+    models = [values.get(name) for name in ("car_model", "behaviour", "warm_start")]
     found += [_expanded(str(name)) for name in models if name not in _WORDS]
     found += map(_expanded, values.get("message_folder") or ())
     scenarios = [values.get("scenario"), *(values.get("names") or ())]

@@ -90,6 +90,13 @@ class AssessmentOptions:
         metavar="N",
         commands=("assess", "sweep", "replay", "ncap"),
     )
+    warm_start: str = option(
+        "",
+        "folder of an earlier assessment: the search for the margin begins with the trajectories that hit the car then",
+        metavar="DIR",
+        commands=("assess",),
+        unset="none",
+    )
     behaviour: str = option(
         WALKERS,
         "how people walk, for the risk: walkers, a file of skd fit --people, or none (no risk)",

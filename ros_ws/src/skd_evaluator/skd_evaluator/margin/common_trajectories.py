@@ -22,14 +22,14 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.compare.comparability import refusals
 from skd_evaluator.assessment.compare.gate import Check, not_worse
-from skd_evaluator.assessment.context import Progress
+from skd_evaluator.assessment.context import Progress, Runner
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import SAME, in_processes
-from skd_evaluator.margin.search.search import OtherHit, margins_with_other_hits
+from skd_evaluator.margin.search.search import Earlier, OtherHit, margins_with_other_hits
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import Hit, hit_of
 from skd_evaluator.metrics.statistics import mean
@@ -94,6 +94,34 @@ def whole_trajectory(hit: Hit) -> FloatArray:
     before, contact = positions[-2:]
     share = max(hit.duration - (len(positions) - 2), 1e-9)
     return np.concatenate([positions[:-1], [before + (contact - before) / share]])
+
+
+def earlier_version(result: StoredResult, trials: Sequence[EpisodeSpec], runner: Runner) -> Earlier:
+    """Return what is known of an earlier version of a car that is rated now.
+
+    Args:
+        result: of that version.
+        trials: of the car now: those on the same φ with the same seed have a hit.
+        runner: has been started.
+
+    Raises:
+        UsageError: the result has no trial of these.
+        AssessmentError: the car fails.
+    """
+    hits = read_episodes(result.folder).margin_hits if int(result.figures["seed"]) == trials[0].seed else ()
+    known = dict(zip((one.tobytes() for one in result.safe), hits, strict=False))
+    found, margins = [], []
+    for trial in trials:
+        mine = known.get(trial.safe_trajectory.positions.tobytes(), ()) if trial.safe_trajectory else ()
+        number = split_episode_id(trial.episode_id)[2]
+        if number < len(mine):
+            hit = mine[number]
+            margins.append(trial.scenario.eta_max if hit is None else hit.distance)
+            found += [] if hit is None else [prescribed(trial, whole_trajectory(hit))]
+    if not found:
+        raise UsageError(f"{result.folder}: has no margin on these φ with this seed, with which the search could begin")
+    logs = {log.episode.episode_id: log for log in runner.run(found)}
+    return Earlier(logs, mean(margins) if len(margins) == len(trials) else None)
 
 
 def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress: Progress) -> tuple[FloatArray, ...]:

@@ -130,6 +130,14 @@ class PairedTest:
         """Keep what was found."""
         write_file(file, json.dumps(self.known))
 
+    def differences(self) -> FloatArray:
+        """Return by how much less the bad version needs than the good one in each trial, m.
+
+        Raises:
+            AssessmentError: one of them fails.
+        """
+        return np.concatenate([self._difference(*self._ends, part) for part in self._parts()])
+
     def check_ends(self) -> None:
         """See to it that the bad version is worse than the good one.
 

@@ -21,15 +21,24 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, Runner, stage
+from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers, available_workers, in_background
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
+from skd_evaluator.margin.common_trajectories import earlier_version
 from skd_evaluator.margin.exact.exact import exact_margin, search_least
 from skd_evaluator.margin.search.rounds import SAME, by_episodes, confirmed, in_processes, one_by_one
-from skd_evaluator.margin.search.search import HELD_COMMANDS, IN_PROCESS, WHOLE_EPISODES, Effort, search_margins
+from skd_evaluator.margin.search.search import (
+    HELD_COMMANDS,
+    IN_PROCESS,
+    WARM_START,
+    WHOLE_EPISODES,
+    Effort,
+    search_margins,
+)
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.frechet import discrete_frechet
@@ -92,6 +101,7 @@ def minimal_deviations(
     runner: Workers,
     progress: Progress,
     limit: int,
+    earlier: StoredResult | None = None,
 ) -> tuple[list[Hit | None], Search | None]:
     """Return the hits of least deviation of a car that runs in process, and how they were searched for; None: exact.
 
@@ -101,21 +111,26 @@ def minimal_deviations(
         runner: computes them, in several processes.
         progress: called with how far the work is.
         limit: candidates that may be driven in a trial.
+        earlier: result of another version of the car, with whose hits the search begins.
 
     Raises:
+        UsageError: it is not of these trials.
         AssessmentError: the car fails, or answers differently to the same trajectories.
     """
     first = episodes[0]
     if has_exact_margin(first.car, first.scenario):
         return exact_margins(episodes, runner, progress), None
-    found = search_margins(episodes, logs, in_processes(runner, progress), _effort(IN_PROCESS, limit))
+    before = None if earlier is None else earlier_version(earlier, episodes, runner)
+    effort = _effort(IN_PROCESS if before is None else WARM_START, limit)
+    found = search_margins(episodes, logs, in_processes(runner, progress), effort, before)
     hits, again = (sum(one is not None for one in some) for some in (found.hits, confirmed(episodes, found, runner)))
     if again < hits:
         raise AssessmentError(
             f"controller {first.controller} answers differently to the same trajectories: of {hits} hits {again} came "
             "again. It may draw only from the generator of reset, and reset has to undo what an episode has left"
         )
-    return found.hits, found.search
+    how = f"from the hits of {earlier.folder} on" if earlier is not None else ""
+    return found.hits, replace(found.search, how=how)
 
 
 def _effort(usual: Effort, limit: int) -> Effort:
@@ -197,7 +212,9 @@ def run(context: Context, assessment: Assessment) -> Assessment:
             trials = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
             found, search, warnings = _by_whole_episodes(trials, logs, plan, runner, context)
         else:
-            found, search = minimal_deviations(episodes, logs, context.workers, context.progress, context.margin_limit)
+            found, search = minimal_deviations(
+                episodes, logs, context.workers, context.progress, context.margin_limit, context.earlier
+            )
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails only in the search still has its other figures

@@ -172,11 +172,13 @@ def requested(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what the options request of the stages, as arguments of `Context`."""
     from skd_sim.options.adversary import objectives_named
 
+    from skd_evaluator.assessment.files.results import read_result
     from skd_evaluator.assessment.stages.risk import risk_request
 
     return {
         "objectives": objectives_named(arguments.objective),
         "margin_limit": arguments.margin_limit,
+        "earlier": read_result(Path(arguments.warm_start)) if arguments.warm_start else None,
         "curve": arguments.curve,
         "reference": arguments.reference,
         "until_width": arguments.until_width,

@@ -8,7 +8,7 @@ candidate that was driven. A detour in the very tick of the hit is tried at once
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -120,6 +120,18 @@ class Group:
         for index, queue in enumerate(self._offers):
             if index != but:
                 queue.appendleft((candidate, source))
+
+    def begin_with(self, logs: Mapping[int, EpisodeLog]) -> None:
+        """Begin with what happens on the hits of an earlier version, by the place of their trial.
+
+        A trial that is not hit on its own is offered those that hit in others.
+        """
+        driven = {place: self.space.candidate(self.space.actions_along(log.adversary)) for place, log in logs.items()}
+        for place, candidate in driven.items():
+            self._known.add(candidate.actions.tobytes())
+            self.trials[place].learn(candidate, logs[place])
+        for place in (one for one in driven if self.trials[one].best is None):
+            self._offers[place].extendleft((driven[other], OTHER) for other, log in logs.items() if log.hit)
 
     def proposals(self) -> list[Proposal]:
         """Return what to drive next, at most one candidate a trial."""

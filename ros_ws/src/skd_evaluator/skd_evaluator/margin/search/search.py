@@ -36,6 +36,8 @@ _HARD: Final = 0.25, 3.0
 is to be gained."""
 _EXCESS: Final = 0.01, CONVERGED_WITHIN
 """Of the mean: estimated error of a search that has converged, and with its standard error."""
+_UNCHANGED: Final = 0.01  # of the mean margin of an earlier version
+_AT_LEAST: Final = 64  # candidates a trial where the mean is another than that
 _SAME_PHI, _OTHER_PHI = 8, 4  # sequences that a group is offered from others after each round
 
 
@@ -56,6 +58,8 @@ class Effort(NamedTuple):
 
 
 IN_PROCESS: Final = Effort()
+WARM_START: Final = Effort(first=2, excursions=2)
+"""Of one whose earlier version has been searched; see `Earlier`."""
 WHOLE_EPISODES: Final = Effort(first=8, limit=64, excursions=2)
 """Of a stack behind the node graph."""
 HELD_COMMANDS: Final = Effort(first=4, limit=16, excursions=2, deepens=False)
@@ -83,6 +87,18 @@ class SearchedMargins:
     reasons: tuple[str, ...]
 
 
+class Earlier(NamedTuple):
+    """What is known of an earlier version of a car: a search from its hits on stops early where the mean is the same.
+
+    Attributes:
+        logs: what happens to the car on its hits, by the id of the trial.
+        mean: its margin, m; None where it is of other trials.
+    """
+
+    logs: Mapping[int, EpisodeLog]
+    mean: float | None
+
+
 KnownLogs = Mapping[int, Sequence[EpisodeLog]]
 """What happened to kamikazes, by the id of the episode."""
 Rounds = Callable[[Sequence[Group], str], list[Group]]
@@ -95,6 +111,7 @@ def search_margins(
     known: KnownLogs,
     rounds: Rounds,
     effort: Effort = IN_PROCESS,
+    earlier: Earlier | None = None,
 ) -> SearchedMargins:
     """Return the margins of trials.
 
@@ -103,11 +120,14 @@ def search_margins(
         known: what happened to kamikazes in them.
         rounds: searches.
         effort: how much is searched.
+        earlier: what is known of an earlier version of the car.
 
     Raises:
         AssessmentError: the car fails.
     """
     searched = _Search(episodes, known, rounds, effort.excursions)
+    if earlier is not None:
+        searched.begin_with(earlier.logs)
     few = effort.deepens and len(episodes) <= DEEP_TRIALS
     limit = effort.limit * (DEEPER if few else 1)
     scaled = effort.first * max(1, _FEW // len(episodes))  # where trials are few, they learn little from one another
@@ -122,6 +142,8 @@ def search_margins(
             return searched.result(True, budget, None, means)
         last, latest = 2 * budget > limit, [mean for _, mean in means[1:]]
         steady = searched.has_all_hits and len(latest) > 2 and _near(latest[-1], latest[-3])
+        if earlier is not None and budget < _AT_LEAST:
+            steady &= earlier.mean is not None and abs(latest[-1] - earlier.mean) <= _UNCHANGED * earlier.mean
         good = False
         if few:
             excess = _excess(before - searched.margins)
@@ -205,6 +227,12 @@ class _Search:
     @property
     def _trials(self) -> list[Trial]:
         return [trial for group in self._groups for trial in group.trials]
+
+    def begin_with(self, logs: Mapping[int, EpisodeLog]) -> None:
+        """Begin with what happens on the hits of an earlier version, by the id of the episode."""
+        for group in self._groups:
+            ids = [trial.episode.episode_id for trial in group.trials]
+            group.begin_with({place: logs[number] for place, number in enumerate(ids) if number in logs})
 
     def offer(self, hits: Sequence[OtherHit]) -> None:
         """Offer trajectories on which another car hits, the least deviation first."""
