@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_support import skd
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.files.results import read_result, write_assessment
-from skd_evaluator.assessment.options import SYNTHETIC
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, EpisodeGroup, Plan, episode_id, runs_along
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
@@ -183,12 +181,3 @@ def test_episode_ids_are_unique_and_bounded():
     for safe_index, number in ((-1, 0), (65536, 0), (0, -1), (0, 2**32)):
         with pytest.raises(ValueError, match="out of range"):
             episode_id(EpisodeGroup.KAMIKAZE, safe_index, number)
-
-
-def test_sweep_and_assess_give_the_same(tmp_path):
-    sizes = ["--safe-count", "1", "--kamikaze-count", "3", "--collision-runs", "4", "--simulations", "50"]
-    for command in ("sweep --multipliers 0.5 1.1", "assess --multiplier 1.1"):
-        name, *arguments = command.split()
-        assert skd(name, *sizes, *arguments, "--out", tmp_path / name, cwd=tmp_path).returncode == 0
-    swept = (tmp_path / "sweep" / SYNTHETIC / "C_1.1" / "episodes.npz").read_bytes()
-    assert swept == (tmp_path / "assess" / "episodes.npz").read_bytes()

@@ -1,7 +1,6 @@
 """skd campaign: cells, failures, interrupts and resumption."""
 
 import csv
-import dataclasses
 import json
 import os
 import shutil
@@ -11,7 +10,6 @@ import sys
 import textwrap
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +20,14 @@ from common import assert_valid, wait_until
 from edited_results import edit
 from skd_evaluator.assessment.files.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign import command
 from skd_evaluator.extensions.campaign.campaign import CampaignFolder
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
-from skd_evaluator.ros import session as session_module
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Mode
-from skd_sim.world.timing import Timing
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deviation"}
 SIZES |= {"margin_limit": 8, "behaviour": "none"}
@@ -192,53 +187,6 @@ def test_an_interrupted_campaign_says_how_to_go_on(here, begun, skd_here):
     refused = skd_here("campaign", "campaign.yaml", "--out", "out", "--resume")
     one_line(refused, 2, "safe_trajectories of cell basic-C1_seed=0 has changed")
     assert stored(here) == kept
-
-
-class Graph:
-    """What runs episodes as a graph does; it knows when commands came."""
-
-    def __init__(self, deaths: int) -> None:
-        self.ran: list[int] = []
-        self._deaths = deaths
-
-    def run(self, episodes):
-        for one in episodes:
-            if len(self.ran) == self._deaths:
-                raise AssessmentError("the simulator has ended")
-            self.ran.append(one.episode_id)
-            yield dataclasses.replace(run_episode(one), timing=Timing((0.01,) * 99, 1, 0.5))
-
-    def publish_assessment(self, rating):
-        assert rating.nominal_runs
-
-
-def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
-    graphs = [Graph(3), Graph(100), Graph(100)]
-    used = []
-
-    @contextmanager
-    def session(setting):
-        (setting.log_folder / "simulator.log").write_text("hello")
-        used.append(graphs[len(used)])
-        yield used[-1]
-
-    monkeypatch.setattr(session_module, "graph_session", session)
-    monkeypatch.setattr(session_module, "prepare_ros", lambda _options: None)
-    write(here, "cars: [{graph: true}]")
-    words = ("campaign", "campaign.yaml", "--out")
-    failed = skd_here(*words, "out")
-    assert failed.returncode == 1
-    assert "basic-C1: failed: the simulator has ended" in failed.stderr
-    assert stored(here) == 3
-    assert skd_here(*words, "out", "--resume").returncode == 0
-    assert skd_here(*words, "whole").returncode == 0
-    first, second, whole = (graph.ran for graph in used)
-    assert first + second == whole
-    cell = here / "out" / "basic-C1"
-    assert figures(cell) == figures(here / "whole" / "basic-C1")
-    assert figures(cell)["command_age"]["held"] == len(whole)
-    assert (cell / "logs" / "simulator.log").read_text() == "hello"
-    assert not list((here / "out").glob(".skd-*"))
 
 
 class Fleeting(InProcessRunner):

@@ -136,13 +136,6 @@ def test_a_cars_own_part_of_the_scenario_may_differ() -> None:
     assert found.as_dict()["differences"]["margin"]["p_value"] == 1.0
 
 
-@pytest.mark.parametrize(("name", "value"), [("simulations", 500), ("version", "2")])
-def test_what_makes_a_verdict_doubtful_is_said(name: str, value: Any) -> None:
-    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), **{name: value}))
-    assert found.verdict == SAFER
-    assert str(value) in found.warnings[0]
-
-
 def test_the_margin_judges_where_planned_figures_are_of_unlike_adversary_models() -> None:
     first = result("a", values(1), planned=values(5, shift=2.0), adversary_model="generic")
     second = result("b", values(1, shift=0.5), planned=values(5), adversary_model="learned")

@@ -1,6 +1,5 @@
 """`skd drive` in process: what keys do, what is drawn, and that an episode is what it is without anybody watching."""
 
-import io
 import math
 import re
 import sys
@@ -9,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli_support import CROSSING, one_line
-from rich.console import Console
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.driving.drive import Controls, Hand, LeftError, Onlooker, Situation, Wish, driving_in_process
-from skd_evaluator.driving.screen import KEYS, Screen, top_view
+from skd_evaluator.driving.screen import top_view
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import AdversaryState, CarState
@@ -105,25 +103,6 @@ def test_the_picture_is_to_scale():
     assert lines[row].index("●") - front == pytest.approx((10.0 - 2.25) / 0.5, abs=1)
     moved = top_view(situation(CarState(0.0, -10.0, 0.0, 8.0), adversary), 80, 18).plain
     assert max(line.count("█") for line in moved.splitlines()) <= 4  # it points down: 1.8 m wide
-
-
-def test_a_screen_fits_the_terminal_and_says_in_full_what_is_awaited():
-    console = Console(width=80, height=24, file=io.StringIO())
-    screen = Screen("mine", KEYS, console)
-    screen.waiting = "waiting for /ego/acceleration_command: no node publishes on it, but messages arrive on /elsewhere"
-    awaited = Onlooker(of_keys()).see(
-        0, 0, CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0), math.nan, math.nan
-    )
-    for said in ("arrive on /elsewhere", "hit. r: again"):
-        screen.show(awaited)
-        console.print(screen)
-        assert isinstance(console.file, io.StringIO)
-        lines = console.file.getvalue().splitlines()
-        assert 22 <= len(lines) <= 24
-        assert said in " ".join(line.strip() for line in lines)
-        assert KEYS in lines[-1]
-        console.file = io.StringIO()
-        screen.over = "hit. r: again"
 
 
 def test_without_a_terminal_it_says_what_it_needs(skd_here, here):

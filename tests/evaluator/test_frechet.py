@@ -119,37 +119,6 @@ def test_leaving_cells_out_changes_no_bit(n, m, dimension):
         assert discrete_frechet_pairs(reference, others).tolist() == exact
 
 
-@pytest.mark.parametrize("near", range(60, 73))
-def test_a_way_to_the_end_of_one_curve_that_is_lost_is_not_found_again(near):
-    """All of p is near the first point of q; later only its beginning is near q, and then nothing at all."""
-    p, q = np.zeros((22, 2)), np.zeros((100, 2))
-    p[3:, 0] = 0.9
-    q[1:near, 0], q[near:99, 0] = -0.5, -5.0
-    assert row_by_row(p, q) == pytest.approx(5.0)
-    exact = row_by_row(p, q)
-    assert discrete_frechet(p, q) == exact
-    assert discrete_frechet_pairs(p, [q] * 7).tolist() == [exact] * 7
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_batch_in_one_array_equals_batch_in_a_list(dimension):
-    rng = np.random.default_rng(dimension)
-    reference = walk(rng, 37, dimension)
-    others = np.cumsum(rng.normal(size=(21, 30, dimension)), axis=1)
-    expected = discrete_frechet_pairs(reference, list(others))
-    assert discrete_frechet_pairs(reference, others).tolist() == expected.tolist()
-    strided = np.asfortranarray(others)
-    strided.setflags(write=False)
-    assert discrete_frechet_pairs(reference, strided).tolist() == expected.tolist()
-    others[3, 5, 1] = math.nan
-    with pytest.raises(ValueError, match=r"others\[3\] has a coordinate"):
-        discrete_frechet_pairs(reference, others)
-    with pytest.raises(ValueError, match=r"others\[0\]"):
-        discrete_frechet_pairs(reference, others[:, :, :1])
-    with pytest.raises(ValueError, match=r"others\[0\]"):
-        discrete_frechet_pairs(reference, others[:, :0])
-
-
 @pytest.mark.parametrize(
     ("bad", "message"),
     [

@@ -8,7 +8,6 @@ import warnings
 import pytest
 from common import PATIENCE, run_skd
 from skd_evaluator import AssessmentError, assess, load_result
-from skd_evaluator.metrics.aborted import not_credible
 from skd_sim import UsageError
 
 SMALL = {"safe_count": 2, "kamikaze_count": 3, "collision_runs": 4, "simulations": 50, "seed": 3}
@@ -112,13 +111,3 @@ def test_two_threads_assess_a_car_of_a_users_own(tmp_path):
     )
     first, second = map(float, done.stdout.splitlines())
     assert first == second > 0.0
-
-
-def test_that_skd_is_not_defined_is_said(tmp_path):
-    """The command ends with exit code 1; the margin is no less the car's."""
-    with pytest.warns(UserWarning, match="^all .* are further than the maximum distance; SKD is not defined$") as said:
-        found = assess("basic", multiplier=0.5, maximum_distance=1e-9, out=tmp_path / "out", **SMALL, **ALONE)
-    assert found.as_dict()["skd"] is None
-    assert {str(one.message) for one in said} <= set(found.warnings)
-    assert not not_credible(found.warnings)
-    assert load_result(tmp_path / "out").figures["warnings"] == list(found.warnings)

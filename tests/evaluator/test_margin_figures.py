@@ -14,18 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_adversary.crossing import road_users
-from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, STAY, action_velocity, road_user_named
+from skd_adversary.crossing.road_users import road_user_named
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.margin.actions import FIRST_HALF, MOVE_COUNT, move_velocity, velocities
+from skd_evaluator.margin.actions import velocities
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.metrics.statistics import cantelli_bound, frechet_probability_bound, normal_interval
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Outcome
@@ -121,25 +120,6 @@ def test_it_is_the_tenth_between_order_statistics(distances, found):
 
 CROSSING, CYCLIST = load_scenario("crossing"), load_scenario("cyclist")
 LIMITS = road_user_named("cyclist").parameters(CYCLIST)["own_limits"]
-PHI = np.array([[-3.5, 0.0], [-3.2, 0.1], [-2.9, 0.1]])
-
-
-def test_a_pedestrian_stays_or_goes_in_five_directions_at_two_paces_or_as_phi():
-    found = velocities(CROSSING, PHI, 0)
-    assert found.shape == (MOVE_COUNT, 2) == (12, 2)
-    speeds = np.hypot(*found.T)
-    assert np.delete(speeds, [STAY, AS_PHI]) == pytest.approx([2.5] * 5 + [1.25] * 5)
-    assert speeds[STAY] == 0.0
-    for action in range(ACTION_COUNT):
-        assert tuple(found[action]) == action_velocity(action, 2.5)
-    for action in range(STAY):
-        assert found[FIRST_HALF + action] == pytest.approx(0.5 * found[action], abs=0.0)
-    assert len(np.unique(np.round(found, 9), axis=0)) == 12
-    assert found[AS_PHI] == pytest.approx([1.0, 1.0 / 3.0])
-    assert velocities(CROSSING, PHI, 1)[AS_PHI] == pytest.approx([1.0, 0.0])
-    assert velocities(CROSSING, PHI, 2)[AS_PHI] == pytest.approx([0.0, 0.0], abs=0.0)
-    for way in range(MOVE_COUNT):
-        assert tuple(found[way]) == move_velocity(way, PHI, 0, CROSSING.time_step, 2.5)
 
 
 def test_a_cyclist_has_its_own_actions_from_its_own_state():
@@ -199,21 +179,6 @@ def edited(folder: Path, to: Path, **changes: Any) -> Path:
     path = to / "assessment.json"
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | changes), encoding="utf-8")
     return to
-
-
-def test_another_margin_than_that_of_the_ways_is_refused(folders, tmp_path):
-    said = read_result(folders[0.5]).figures["margin"]
-    with pytest.raises(UsageError, match="not of one assessment"):
-        read_result(edited(folders[0.5], tmp_path / "more", margin=said + 1e-6))
-    with pytest.raises(UsageError, match="margin is nothing"):
-        read_result(edited(folders[0.5], tmp_path / "none", margin=None))
-    without = tmp_path / "without"
-    shutil.copytree(folders[0.5], without)
-    with np.load(without / "episodes.npz") as arrays:
-        kept = {name: arrays[name] for name in arrays.files if not name.startswith("margin")}
-    np.savez_compressed(without / "episodes.npz", **kept)
-    with pytest.raises(UsageError, match="its episodes give nothing"):
-        read_result(without)
 
 
 def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_path):

@@ -237,29 +237,6 @@ def store(folder, data: object) -> None:
     (folder / RESULT).write_text(json.dumps(data), encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({}, ""),
-        ({"colour": "green"}, "a relative impact speed of 9.5 km/h is brown, not green"),
-        ({"value": None}, "does not say of what"),
-        ({"speed": 35.0}, "there are no colours at 35 km/h"),
-        ({"margin": 0.4}, "not the mean"),  # between the least and the greatest
-        ({"margins": (0.5,)}, "not the mean of 2 trials"),
-        ({"margin": -1.0}, "must be a number from 0"),
-    ],
-)
-def test_a_file_that_contradicts_itself_is_refused(tmp_path, changes, said):
-    found = of(replace(CELL, **changes))
-    store(tmp_path, {**as_data(found), "provenance": {}})
-    if said:
-        with pytest.raises(UsageError, match=said):
-            read_ncap(tmp_path)
-        assert with_regulator(Verified(tmp_path, None)).problems
-    else:
-        assert read_ncap(tmp_path) == found
-
-
 @pytest.mark.parametrize("data", [{**as_data(of(CELL)), "ncap": 2}, {}, [], {**as_data(of(CELL)), "more": 1}])
 def test_a_file_of_another_version_or_kind_is_refused(tmp_path, data):
     store(tmp_path, data)

@@ -3,11 +3,8 @@
 import dataclasses
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from cli_support import SMALL
-from matplotlib.image import imread
 from skd_evaluator.report.charts import (
     charted,
     coloured,
@@ -67,19 +64,6 @@ def test_a_car_has_one_colour_in_every_chart(sweep, turned):
     assert len(set(found[0].values())) == len(cars)
     many = coloured([charted(cars)[0]] * 20)
     assert len({one.colour for one in many}) == 20
-
-
-@pytest.mark.usefixtures("pictures_drawn")
-def test_cars_of_one_scale_are_drawn_by_margin_and_risk(skd_here, here: Path, sweep):
-    counts = [*SMALL, "--safe-count", "2", "--kamikaze-count", "14", "--collision-runs", "12"]
-    assert skd_here("assess", *counts, "--behaviour", "walkers", "--seed", "9", "--out", "other").returncode == 0
-    parts = [str(sweep / "synthetic" / f"C_{multiplier}") for multiplier in ("0.5", "1")]
-    done = skd_here("compare", *parts, "--out", "both")
-    assert done.returncode == 0, done.stderr
-    for name in ("rating.png", "price.png"):
-        assert imread(here / "both" / name).shape[1] > 600
-    assert skd_here("compare", "other", parts[0], "--out", "unlike").returncode == 0
-    assert not (here / "unlike" / "rating.png").exists()  # their φ differ
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from report_support import edited
-from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.from_options import plan_of, scenario_for
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
@@ -23,7 +22,6 @@ from skd_evaluator.report.repeat import repeat_command
 from skd_evaluator.report.terminal import headline
 from skd_sim.world.episode import Mode, Outcome
 
-NO_MARGIN = keys_of(Of.MARGIN)
 VOID = {"meta", "link", "br", "input", "img"}
 
 

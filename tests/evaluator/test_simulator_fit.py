@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from common import run_skd
-from report_support import edited
 from scipy import stats
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.extensions.fusion.calibration import Recorded, ReplayedDrive, calibrated, estimated, off_by, recorded
@@ -113,18 +111,3 @@ def test_recordings_that_cannot_calibrate_are_refused():
         recorded(world, scene(6.0, 60), "walk", "here")
     with pytest.raises(UsageError, match="too short"):
         recorded(world, scene(8.3, 8), "walk", "here")
-
-
-@pytest.mark.parametrize(
-    ("controller", "says"),
-    [
-        ("external", "its car ran as a node, and cannot drive the trials again in process"),
-        ("a_module_that_nobody_has:Car", "a_module_that_nobody_has"),
-    ],
-)
-def test_a_car_that_has_no_multiplier_is_said_in_a_line(controller, says, sweep, tmp_path, capsys):
-    own = edited(sweep / "synthetic" / "C_0.5", tmp_path / "own", controller=controller, multiplier=None)
-    (tmp_path / "trials.csv").write_text("phi,clearance\nsynthetic/0,1.0\n", "utf-8")
-    assert run_skd("fuse", "--calibrate", own, tmp_path / "trials.csv", "--out", tmp_path / "out") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert says in line

@@ -16,7 +16,6 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.report.progress import ProgressLines
 from skd_evaluator.report.tables import equal_remarks
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
@@ -107,17 +106,6 @@ def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
     assert line.startswith("a and c have the same figures to the last digit")
     unknown = dict.fromkeys(one)
     assert equal_remarks([{"name": "a", **unknown}, {"name": "b", **unknown}], "name") == []
-
-
-def test_a_step_has_one_line_and_then_one_a_minute():
-    now, written = [0.0], []
-    lines = ProgressLines(lambda label, rest: written.append(label + rest), lambda: now[0])
-    for second in range(200):
-        now[0] = float(second)
-        lines.update("kamikazes" if second < 30 else f"margin, {second // 50}", second + 1, 200)
-    assert written[:2] == ["kamikazes (200)", "margin"]
-    assert len(written) == len(set(written)) == 4
-    assert written[2] == "margin, 1, 91 of 200, 0:01:49 left"
 
 
 MEASURE = Path(__file__).parents[2] / "docs" / "metrics.md"

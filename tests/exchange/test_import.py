@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exchange_support import recorded, safe, walk
+from exchange_support import recorded
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.bags.tracks import Track
@@ -168,23 +168,6 @@ def test_tables_that_say_no_way(tmp_path: Path, text: str, says: str):
     with pytest.raises(UsageError) as caught:
         read_sources([tmp_path / "a.csv"], ImportRequest())
     assert says in str(caught.value)
-
-
-def test_two_of_one_name_are_nobody(tmp_path: Path):
-    """Whichever of both were taken, it would be that of the other without a word."""
-    one = safe("crossing", walk(load_scenario("crossing")))
-    FORMATS["commonroad"].write(tmp_path / "a.xml", one)
-    text = (tmp_path / "a.xml").read_text("utf-8")
-    begin, end = text.index("<dynamicObstacle"), text.index("</dynamicObstacle>") + len("</dynamicObstacle>")
-    twice = text[:end] + text[begin:end].replace("<x>", "<x>1") + text[end:]
-    (tmp_path / "a.xml").write_text(twice, "utf-8")
-    with pytest.raises(UsageError, match="2 obstacles have this id"):
-        read_sources([tmp_path / "a.xml"], ImportRequest())
-    folder = look_alike(tmp_path / "ind")
-    with (folder / "18_tracksMeta.csv").open("a") as stream:
-        stream.write("18,3,100,350,251,0,0,pedestrian\n")
-    with pytest.raises(UsageError, match="track '3' has two classes"):
-        read_sources([folder / "18_tracks.csv"], ImportRequest())
 
 
 def test_a_car_that_turns_does_not_say_where_north_is():

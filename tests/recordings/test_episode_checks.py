@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -106,17 +105,6 @@ def test_two_things_said_of_one_episode(logs, sent, recorded, refused, topic: st
         line = refused(recorded([*sent[:hit], both, *sent[hit + 1 :]]))
         assert "two different messages" in line
         assert topic in line
-
-
-def test_two_recordings_that_tell_different_things(logs, sent, recorded, refused, replay) -> None:
-    """The first used to count; now neither does."""
-    other = recorded(campaign_messages([replace(logs[0], episode=replace(logs[0].episode, multiplier=1.0))]), "other")
-    whole = recorded(sent)
-    assert "is another one in" in refused(whole, other)
-    assert "is another one in" in refused(other, whole)
-    done = replay(whole, other, "--skip-damaged")
-    assert len(done.result["left_out"]) == 1
-    assert done.result["kamikaze_trials"] == len(logs) - 5
 
 
 def test_an_episode_that_was_run_twice_counts_once(logs, sent, recorded, replay) -> None:

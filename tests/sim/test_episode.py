@@ -1,6 +1,5 @@
 """States, commands and the record of an episode."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -131,26 +130,6 @@ def test_a_heading_of_the_grid_survives_the_quaternion_to_the_last_bit(heading: 
     assert -math.pi < kept <= math.pi
     assert abs(math.remainder(kept - heading, math.tau)) < 2e-12
     assert on_grid(kept) == kept
-
-
-POINTS = np.arange(10.0).reshape(5, 2)
-
-
-def test_positions_are_a_copy_and_read_only() -> None:
-    points = POINTS.copy()
-    trajectory = Trajectory(points, 0.3)
-    points[0, 0] = 99.0
-    assert trajectory.positions[0, 0] == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        trajectory.positions[0, 0] = 1.0
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        trajectory.time_step = 1.0  # type: ignore[misc]
-
-
-@pytest.mark.parametrize("points", [np.empty((0, 2)), np.empty((3, 0)), np.zeros(3), np.zeros((2, 2, 2))])
-def test_wrong_shape(points: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="n × d"):
-        Trajectory(points, 0.3)
 
 
 STEP_COMMANDS = 100  # ns of simulation time between states
