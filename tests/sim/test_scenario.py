@@ -1,7 +1,6 @@
 """Scenarios of files and mappings: what is read is what was written, and a mistake is one line."""
 
 import copy
-import dataclasses
 import json
 import math
 from collections.abc import Iterator
@@ -94,20 +93,6 @@ def test_numbers_of_the_paper() -> None:
     assert scenario.ticks == round(12.0 / 0.3)
     cart = load_scenario("citr_crossing").car
     assert (cart.front, cart.rear, cart.half_width) == (1.0, 1.2, 0.6)
-
-
-def test_what_may_be_left_out_is_a_basic_car_on_a_dry_straight_road() -> None:
-    least = {key: value for key, value in BASE.items() if key in schema_of(Scenario)["required"]}
-    for name, section in list(least.items()):
-        if isinstance(section, dict):
-            kind = {"road": "Road", "car": "Car", "adversary": "RoadUser", "collision": "Collision"}[name]
-            needed = [*schema_of(Scenario)["$defs"][kind]["required"], "radius", "destination_x"]
-            least[name] = {key: value for key, value in section.items() if key in needed}
-    assert scenario_from_dict(least) == dataclasses.replace(load_scenario("crossing"), sensor=None)
-    scenario = scenario_from_dict(least)
-    assert (scenario.car.dynamics, scenario.road.friction, scenario.eta_max) == ("basic", 1.0, 5.0)
-    assert (scenario.control_period, scenario.control_periods, scenario.control_duration) == (None, 1, 0.3)
-    assert "control_period" not in scenario.as_dict()
 
 
 @pytest.mark.parametrize(("place", "low", "high", "unit"), [
