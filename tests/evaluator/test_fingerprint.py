@@ -124,21 +124,6 @@ def test_a_worker_with_other_files_beside_the_module_is_refused(cars: Path) -> N
         _have(controller)
 
 
-def test_a_worker_with_another_package_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wherever it is installed there."""
-    for place in ("here", "there"):
-        put(tmp_path / place / "convoy" / "__init__.py", "")
-        put(tmp_path / place / "convoy" / "law.py", "GAIN = 1\n")
-    with monkeypatch.context() as patch:
-        patch.syspath_prepend(str(tmp_path / "here"))
-        controller = sent(CarUnderTest("convoy.law:Car"))
-    monkeypatch.syspath_prepend(str(tmp_path / "there"))
-    _have(controller)
-    put(tmp_path / "there" / "convoy" / "law.py", "GAIN = 2\n")
-    with pytest.raises(UsageError, match="has other files of the controller"):
-        _have(controller)
-
-
 def content(folder: Path) -> dict[str, object]:
     return json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
 

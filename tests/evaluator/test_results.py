@@ -123,18 +123,6 @@ def test_logs_of_work_that_failed_stay_where_they_were(tmp_path):
     assert content(tmp_path / "out") == old
 
 
-def test_what_left_nothing_or_was_killed_leaves_the_folder_free(tmp_path):
-    work = ResultFolder(tmp_path / "out").scratch()
-    (work.__enter__().logs / "node.log").touch()
-    assert not work.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
-    del work
-    assert names(tmp_path) == []
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "logs").symlink_to(tmp_path / ".skd-of-one-that-was-killed" / "logs")
-    ResultFolder(tmp_path / "out").write(fill)
-    assert not (tmp_path / "out" / "logs").is_symlink()
-
-
 @pytest.mark.parametrize("there", ["nothing", "empty", "results"])
 def test_second_run_is_told_at_once(tmp_path, there):
     if there == "empty":

@@ -1,6 +1,5 @@
 """Single files that a user names: what is no file is never replaced, a link leads on, and nothing is half-written."""
 
-import os
 import resource
 import subprocess
 from collections.abc import Callable
@@ -14,19 +13,6 @@ from skd_evaluator.extensions.campaign.cells import make_cells
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 SCENARIO = "name: mine\ndescription: mine\nextends: cpna-75\ncar:\n  start_speed: 5.0\n"
-
-
-@pytest.mark.parametrize("words", [["assess", *SMALL, "--junit"], ["report", "recorded", "--overwrite", "--out"]])
-def test_what_is_no_file_stays_what_it_is(words: list[str], skd_here: Run, here: Path) -> None:
-    """A pipe, links to it and to itself, a folder; of a pipe one who waits there would wait for ever."""
-    os.mkfifo(here / "pipe.html")
-    (here / "to_a_pipe.html").symlink_to("pipe.html")
-    (here / "round.html").symlink_to("round.html")
-    (here / "folder.html").mkdir()
-    before = {path: (path.lstat().st_ino, path.lstat().st_mode) for path in here.glob("*.html")}
-    for path in before:
-        one_line(skd_here(*words, path.name), 2, f"{words[-1]} {path.name}: ", "give ")
-    assert {path: (path.lstat().st_ino, path.lstat().st_mode) for path in here.glob("*.html")} == before
 
 
 def test_a_gate_writes_over_nothing_that_the_command_reads(skd_here: Run, here: Path) -> None:
