@@ -10,8 +10,8 @@ from cli_support import names, one_line, skd
 from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap import evaluation
 from skd_evaluator.extensions.ncap.evaluation import requested_tests, scenario_of
-from skd_evaluator.extensions.ncap.layout import layout_of, margin_text
-from skd_evaluator.extensions.ncap.matrices import known_scenarios, matrix_of, scenarios_of
+from skd_evaluator.extensions.ncap.layout import margin_text
+from skd_evaluator.extensions.ncap.matrices import known_scenarios, scenarios_of
 from skd_evaluator.extensions.ncap.page import views_of
 from skd_evaluator.extensions.ncap.result import RESULT, Grid, Ncap, NcapCell, as_data, read_ncap, with_regulator
 from skd_evaluator.library import assess
@@ -270,19 +270,6 @@ def test_a_margin_that_is_a_bound_says_so(tmp_path):
     assert [line.partition(":")[0] for line in verified.remarks[:2]] == [
         "1 of 3 margins are lower bounds", "1 of 3 margins are upper bounds",
     ]  # fmt: skip
-
-
-def test_columns_are_places_or_the_speeds_of_targets():
-    head_on = matrix_of("ccfhos")
-    cells = tuple(NcapCell(speed=one.speed, target=one.target, place=one.place) for one in head_on.points)
-    layout = layout_of(Grid("ccfhos", "", cells))
-    assert layout.columns == ("25 %", "50 %", "75 %", "100 %")
-    assert [label for label, _ in layout.rows][:4] == ["30 (50)", "40 (50)", "50 (50)", "60 (70)"]
-    crossing = matrix_of("cccscp")
-    cells = tuple(NcapCell(speed=one.speed, target=one.target, place=one.place) for one in crossing.points)
-    layout = layout_of(Grid("cccscp", "", cells))
-    assert layout.columns == tuple(f"{speed} km/h" for speed in range(20, 90, 10))
-    assert [sum(cell is not None for cell in cells) for _, cells in layout.rows] == [7, 7, 5, 5, 5, 2, 2]
 
 
 def test_every_test_of_the_matrices_can_be_had():

@@ -1,6 +1,5 @@
 """Episodes on a curved road and with a box for an adversary: run, judged, stored, recomputed, drawn."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -88,14 +87,3 @@ def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -
         read((-5.0, -9.0), (-3.0, -9.0), (-3.0, -7.0))
     with pytest.raises(UsageError, match="where the car starts"):
         read((3.4, -10.5), (5.0, -8.0))
-
-
-def test_outlines() -> None:
-    """A disc's is round, a box's lies along its last step, also while it stands."""
-    way = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
-    corners = BOX.outline(way) - [1.0, 1.0]
-    along, across_it = corners @ [math.sqrt(0.5), math.sqrt(0.5)], corners @ [-math.sqrt(0.5), math.sqrt(0.5)]
-    assert sorted(np.abs(along)) == pytest.approx([0.9] * 4)
-    assert sorted(np.abs(across_it)) == pytest.approx([0.3] * 4)
-    circle = CROSSING.adversary.outline(way)
-    np.testing.assert_allclose(np.hypot(*(circle - [1.0, 1.0]).T), 0.25)

@@ -335,13 +335,13 @@ def test_power_is_that_of_the_noncentral_t(difference, between, safe, trials, pa
 
 def test_the_expected_width_is_the_mean_of_widths():
     rng = np.random.default_rng(0)
-    trials, safe, trials = 1000, 5, 8
-    means = rng.normal(0.0, 0.3, size=(trials, safe, 1))
-    samples = means + rng.normal(0.0, 0.5, size=(trials, safe, trials))
+    campaigns, safe, trials = 300, 5, 8
+    means = rng.normal(0.0, 0.3, size=(campaigns, safe, 1))
+    samples = means + rng.normal(0.0, 0.5, size=(campaigns, safe, trials))
     found = [clustered_mean(list(sample), prior=DISTANCES).interval for sample in samples]
     widths = np.array([high - low for low, high in found])
     expected = expected_width(0.09, 0.25, safe, trials, prior=DISTANCES)
-    assert abs(widths.mean() - expected) < 4.0 * widths.std() / math.sqrt(trials)
+    assert abs(widths.mean() - expected) < 4.0 * widths.std() / math.sqrt(campaigns)
 
 
 def test_sizes_are_enough_and_one_phi_less_is_not():

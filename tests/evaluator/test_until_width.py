@@ -103,13 +103,6 @@ def test_the_bounds_are_pococks(looks, bound):
     assert stats.norm.ppf(0.5 + nominal_confidence(looks) / 2.0) == pytest.approx(bound, abs=6e-4)
 
 
-NOISY = """
-class Car:
-    def reset(self, scenario, rng): print("reset", flush=True)
-    def command(self, car, adversary): return 0.0
-"""
-
-
 def run(here: Path, *words: str, first: Callable[[], object]) -> subprocess.CompletedProcess[str]:
     """Run a command in a process in which something is called first; no stream of its is a pipe that `first` closes."""
     command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", *words]
@@ -120,18 +113,6 @@ def run(here: Path, *words: str, first: Callable[[], object]) -> subprocess.Comp
             preexec_fn=first, timeout=PATIENCE, check=False,
         )  # fmt: skip
     return subprocess.CompletedProcess(command, done.returncode, (here / "said").read_text())
-
-
-def noisy(here: Path, first: Callable[[], object]) -> bytes:
-    """Assess a car that prints, in a process in which something is called first; return the episodes."""
-    (here / "noisy.py").write_text(NOISY)
-    (here / "good.csv").write_text(CROSSING)
-    done = run(
-        here, "--adversary-model", "generic", "--controller", "noisy:Car", "--no-pictures", "--out", "out", first=first
-    )
-    assert done.returncode == 0
-    assert "Traceback" not in done.stdout
-    return (here / "out" / "episodes.npz").read_bytes()
 
 
 @pytest.fixture(scope="module")
