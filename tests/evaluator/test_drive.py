@@ -88,6 +88,18 @@ def situation(car: CarState, adversary: AdversaryState) -> Situation:
     return Onlooker(of_keys()).see(0, 0, car, adversary, -3.5, 0.01)
 
 
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [((-3.5, 0.1), "steering 5.7° to the left"), ((0.0, -0.1), "steering 5.7° to the right"), ((1.0, 0.0), "")],
+)
+def test_the_steering_angle_is_shown_of_a_car_that_steers(command: tuple[float, float], said: str) -> None:
+    car, adversary = CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0)
+    line = Onlooker(of_keys()).see(0, 0, car, adversary, command, 0.01).line()
+    assert f"command {command[0]:+.1f} m/s²" in line
+    assert ("steering" in line) == bool(said)
+    assert said in line
+
+
 def test_the_picture_is_to_scale():
     """Half a metre to a half of a letter, each way: the car's area in halves, and the columns between both."""
     car, adversary = CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0)

@@ -51,7 +51,7 @@ class Rolling:
         self._adversary = adversary._replace(x=adversary.x + 0.2 * self._off)
         return self._car, self._adversary
 
-    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
         self._commands = acceleration, velocity
 
     def advance(self) -> tuple[CarState, AdversaryState]:

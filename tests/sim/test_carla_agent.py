@@ -23,6 +23,7 @@ from skd_sim.simulators.carla import (
     Placement,
     adversary_from_odometry,
     pedals,
+    steer,
     walker_control,
 )
 from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled
@@ -175,3 +176,8 @@ def test_walker_control(placement: Placement, vx: float, vy: float) -> None:
     assert math.hypot(x, y) == pytest.approx(1.0)
     wanted = placement.vector_to_map(vx, vy)
     assert (speed * x, speed * y) == pytest.approx(wanted, abs=1e-9)
+
+
+@pytest.mark.parametrize(("angle", "expected"), [(0.305, -0.25), (-0.61, 0.5), (2.0, -1.0), (0.0, 0.0)])
+def test_carla_steers_to_the_right_in_shares_of_full_lock(angle: float, expected: float) -> None:
+    assert steer(angle, 1.22) == expected

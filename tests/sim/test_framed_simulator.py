@@ -9,7 +9,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.road_user import Other
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import Frame, FramedSimulator, Simulator, WorldSimulator
-from skd_sim.world.dynamics.basic import CommandLimits
+from skd_sim.world.dynamics.basic import STEERING_LIMIT, BasicCar, Command, CommandLimits, Noise
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
@@ -36,7 +36,7 @@ class Uniform:
         self._car, self._adversary = car, adversary
         return car, adversary
 
-    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
         self.commands.append(acceleration)
         self._velocity = velocity
 
@@ -55,10 +55,10 @@ def _scenario(gap: float) -> Scenario:
     return replace(base, car=replace(base.car, speed_noise=0.0, acceleration_noise=0.0, start_gap=gap))
 
 
-def _run(simulator: Simulator, episode: EpisodeSpec, velocity: tuple[float, float], acceleration: float = 0.0) -> Frame:
+def _run(simulator: Simulator, episode: EpisodeSpec, velocity: tuple[float, float], command: Command = 0.0) -> Frame:
     frame = simulator.reset(episode)
     while frame.outcome == Outcome.RUNNING:
-        frame = simulator.step(acceleration, velocity)
+        frame = simulator.step(command, velocity)
     return frame
 
 
@@ -114,6 +114,36 @@ def _crossing_early(other: Other) -> Other:
     if other.is_box or other.stands:
         return other
     return replace(other, way=tuple(replace(point, x=2.0 * point.time - 4.0, y=4.0) for point in other.way))
+
+
+class Bicycle(Uniform):
+    """The same with the world's own car, which steers."""
+
+    def place(self, car: CarState, adversary: AdversaryState) -> tuple[CarState, AdversaryState]:
+        self._dynamics = BasicCar(self._scenario)
+        self._dynamics.reset(car)
+        return super().place(car, adversary)
+
+    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
+        super().control(acceleration, steering, velocity)
+        self._steering = steering
+
+    def advance(self) -> tuple[CarState, AdversaryState]:
+        _, adversary = super().advance()
+        path = self._dynamics.advance((self.commands[-1], self._steering), self.frame_step, Noise(0.0, 0.0))
+        self._car = CarState(*path[-1].tolist())
+        return self._car, adversary
+
+
+@pytest.mark.parametrize("angle", [0.01, 0.1, 2.0])
+def test_a_car_that_steers_leaves_the_road_where_it_does_in_the_world(angle: float) -> None:
+    """Up to a frame later: a frame is looked at when it ends."""
+    episode = EpisodeSpec(replace(_scenario(30.0), control_period=0.05), Mode.SAFE, 7, 0)
+    there, seen = FramedSimulator(Bicycle()), WorldSimulator()
+    ends = [_run(one, episode, (0.0, 0.0), (0.0, angle)) for one in (there, seen)]
+    assert [end.outcome for end in ends] == [Outcome.COLLISION] * 2
+    assert ends[0].impact(0.3)[0] == pytest.approx(ends[1].impact(0.3)[0], abs=0.051)
+    assert (there.clipped > 0) == (angle > STEERING_LIMIT)
 
 
 class Feeling(Uniform):

@@ -185,3 +185,26 @@ def test_an_assessment_has_all_its_parts_and_keeps_the_pedals(tmp_path) -> None:
     assert len(result["simulation"]["pedals"]["brake"]) == 14
     assert result["simulator_contacts"]["geometry_alone"] == 0
     assert run_skd("verify", out) == 0
+
+
+class Steers:
+    """Commands one steering angle."""
+
+    def __init__(self, angle: float) -> None:
+        self.angle = angle
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Nothing is kept."""
+
+    def command(self, car: Any, adversary: Any) -> tuple[float, float]:
+        return 0.0, self.angle
+
+
+@pytest.mark.parametrize("angle", [0.02, -0.02])
+def test_it_steers_to_the_side_that_is_commanded_by_about_as_much_as_the_worlds_car(angle: float) -> None:
+    wide = replace(CROSSING, road=replace(CROSSING.road, lane_width=40.0))
+    logs = [run(still(-30.0, ticks=9), scenario=wide, controller=Steers(angle))]
+    logs.append(run_episode(replace(logs[0].episode, simulator="world"), Steers(angle)))
+    there, here = (float(log.car[-1, 2]) - np.pi / 2.0 for log in logs)
+    assert np.sign(there) == np.sign(angle)
+    assert there == pytest.approx(here, rel=0.3)

@@ -45,6 +45,7 @@ class Situation:
         walked: places of the adversary at the ticks so far, n × 2, m.
         phi: the safe trajectory φ that is followed, n × 2, m; None where there is none.
         command: what the car commanded last; nan before its first command.
+        steering: angle of the front wheels that it commanded, rad to the left; 0 of a car that does not steer.
         unit: unit of the command, m/s² or m/s.
         age: wall time from the state that the command answers to its use, s; nan where it is not known.
         clearance: distance between the outlines of car and adversary, m.
@@ -59,6 +60,7 @@ class Situation:
     walked: FloatArray
     phi: FloatArray | None = None
     command: float = math.nan
+    steering: float = 0.0
     unit: str = "m/s²"
     age: float = math.nan
     clearance: float = math.nan
@@ -73,6 +75,9 @@ class Situation:
             ("command", "none yet" if math.isnan(self.command) else f"{self.command:+.1f} {self.unit}"),
             ("clearance", f"{self.clearance:.1f} m"),
         ]
+        if self.steering:
+            side = "left" if self.steering > 0.0 else "right"
+            found.append(("steering", f"{abs(math.degrees(self.steering)):.1f}° to the {side}"))
         if not math.isnan(self.age):
             found.append(("age of the command", f"{self.age:.3f} s"))
         if not math.isnan(self.strayed):
@@ -100,7 +105,7 @@ class Onlooker:
         self._walked: list[tuple[float, float]] = []
 
     def see(
-        self, tick: int, period: int, car: CarState, adversary: RoadUserState, command: float, age: float
+        self, tick: int, period: int, car: CarState, adversary: RoadUserState, command: Command, age: float
     ) -> Situation:
         """Return the situation in a control period.
 
@@ -109,7 +114,7 @@ class Onlooker:
             period: number of the control period in the tick, 0 at the tick itself.
             car: state of the car.
             adversary: state of the adversary.
-            command: what the car commanded last; nan before its first command.
+            command: what the car commanded last, with a steering angle or without; nan before its first command.
             age: age of that command when it was used, s; nan where it is not known.
         """
         if period == 0 and tick == len(self._walked):
@@ -119,7 +124,7 @@ class Onlooker:
         time = (tick + period / self._scenario.control_periods) * self._scenario.time_step
         apart = clearance_at(self._scenario, car, adversary)
         return Situation(
-            self._scenario, time, car, adversary, walked, self._phi, command, self._unit, age, apart, strayed
+            self._scenario, time, car, adversary, walked, self._phi, *as_pair(command), self._unit, age, apart, strayed
         )
 
 
@@ -331,10 +336,10 @@ class PacedSimulator(NamedSimulator):
             raise LeftError
         self._due = max(self._due + self._period, time.monotonic())  # what was missed is not made up for
         frame = super().step(command, velocity)
-        self._see(frame, as_pair(command)[0], age)
+        self._see(frame, command, age)
         return frame
 
-    def _see(self, frame: Frame, command: float, age: float) -> None:
+    def _see(self, frame: Frame, command: Command, age: float) -> None:
         self._show(self._onlooker.see(frame.tick, frame.period, frame.car, frame.adversary, command, age))
         self._shown = time.monotonic()
 

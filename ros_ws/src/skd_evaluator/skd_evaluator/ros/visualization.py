@@ -15,12 +15,13 @@ import numpy as np
 from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
 from skd_sim.options.options import MAP_FRAME, CommandOptions
-from skd_sim.ros.commands import Quantity, car_commands
+from skd_sim.ros.commands import Quantity, angle_of_yaw_rate, car_commands
 from skd_sim.ros.state_publisher import CAR_HEIGHT
 from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM, Moments
 from skd_sim.ros.to_messages import to_orientation, to_stamp
 from skd_sim.scenario.road import Road
 from skd_sim.scenario.road_user import Body, height_of
+from skd_sim.world.dynamics.basic import wheels
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.timing import CommandAges, period_of, tick_stamp
@@ -145,6 +146,8 @@ class LiveFigures:
         self._deviation = node.create_publisher(Float64, DEVIATION, STREAM)
         self._onlooker: Onlooker | None = None
         self._show: Show | None = None
+        self._yaws = False
+        self._drive: tuple[float, float] | None = None
         self._ages = CommandAges(waited_for=False)
         self._latest: int | None = None
 
@@ -154,11 +157,11 @@ class LiveFigures:
 
         def on_command(message: Any) -> None:
             if self._latest is not None:  # else it is of the episode before
-                stamp, command = heard.read(message)
-                self._drive = command[0]
+                stamp, (drive, _limit, steering) = heard.read(message)
+                self._drive = drive, steering
                 self._ages.come(stamp or None, time.monotonic())
 
-        self._show, self._unit = show, _UNITS[heard.format.quantity]
+        self._show, self._unit, self._yaws = show, _UNITS[heard.format.quantity], heard.format.is_yaw_rate
         self._node.create_subscription(heard.kind, commands.command_topic, on_command, STREAM)
 
     def begin(self, episode: EpisodeSpec, start: int) -> None:
@@ -172,7 +175,7 @@ class LiveFigures:
         self._onlooker = Onlooker(episode, self._unit) if listeners or self._show else None
         self._scenario, self._start = episode.scenario, start
         self._moments = Moments(CarState, AdversaryState)
-        self._drive, self._latest = math.nan, None
+        self._drive, self._latest = None, None
         self._ages.begin()
 
     def take(self, stamp: int, state: CarState | AdversaryState) -> None:
@@ -181,7 +184,7 @@ class LiveFigures:
             return
         if isinstance(state, CarState):
             now = time.monotonic()
-            if self._latest is not None and stamp > self._latest and not math.isnan(self._drive):
+            if self._latest is not None and stamp > self._latest and self._drive is not None:
                 self._ages.use(now)
             self._latest = stamp
             self._ages.publish(stamp, now)
@@ -190,7 +193,11 @@ class LiveFigures:
         if place is None or both is None:
             return
         age = self._ages.ages[-1] if self._ages.ages else math.nan
-        seen = self._onlooker.see(*place, both[CarState], both[AdversaryState], self._drive, age)
+        command, car = self._drive or math.nan, both[CarState]
+        if self._yaws and self._drive is not None:
+            wheelbase = wheels(self._scenario.car)[0]
+            command = self._drive[0], angle_of_yaw_rate(self._drive[1], car.speed, wheelbase)
+        seen = self._onlooker.see(*place, car, both[AdversaryState], command, age)
         self._clearance.publish(Float64(data=seen.clearance))
         if not math.isnan(seen.strayed):
             self._deviation.publish(Float64(data=seen.strayed))

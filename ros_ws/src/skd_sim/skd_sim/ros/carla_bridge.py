@@ -40,6 +40,7 @@ from skd_sim.simulators.carla import (
     box_from_odometry,
     car_from_odometry,
     pedals,
+    steer,
     walker_control,
     walks,
 )
@@ -69,6 +70,7 @@ class _CarlaOptions:
     )
     full_throttle: float = option(4.0, "acceleration of the car at full throttle, m/s²", low=0.1, high=20.0)
     full_brake: float = option(8.0, "deceleration of the car at full brake, m/s²", low=0.1, high=20.0)
+    full_steering: float = option(1.22, "angle of its front wheels at full lock, rad", low=0.1, high=1.5)
     placing_tolerance: float = option(
         0.5, "distance from its start at which an actor counts as placed, m", low=0.01, high=5.0
     )
@@ -167,7 +169,7 @@ class CarlaFrames:
         while True:
             self._put_staged()
             self._put_both(car, adversary)
-            self.control(0.0, (0.0, 0.0))
+            self.control(0.0, 0.0, (0.0, 0.0))
             now = self._next_frame(begun, limit, AbortKind.NOT_STARTED, "CARLA to put both actors in place")
             if all(math.dist(there[:2], start[:2]) <= tolerance for there, start in zip(now, starts, strict=True)):
                 if not self._walks:  # it comes as fast as the scenario says, and CARLA reports no speed of it
@@ -175,10 +177,11 @@ class CarlaFrames:
                 self._at = now[1]
                 return now
 
-    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
         """Send both commands, and wait until they have arrived: topics have no common order, and no answer comes."""
         throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
-        self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
+        side = steer(steering, self._settings["full_steering"])
+        self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake, steer=side))
         self._velocity = velocity
         if self._walks:
             x, y, speed = walker_control(velocity, self._placement)

@@ -109,6 +109,16 @@ def pedals(acceleration: float, full_throttle: float, full_brake: float) -> tupl
     return min(1.0, max(0.0, acceleration / full_throttle)), min(1.0, max(0.0, -acceleration / full_brake))
 
 
+def steer(angle: float, full_lock: float) -> float:
+    """Return CARLA's steering, in [−1, 1] to the right, for an angle of the front wheels (rad, to the left).
+
+    Args:
+        angle: commanded steering angle, rad.
+        full_lock: angle at full lock, rad, > 0.
+    """
+    return min(1.0, max(-1.0, -angle / full_lock))
+
+
 def walker_control(velocity: tuple[float, float], placement: Placement) -> tuple[float, float, float]:
     """Return where an adversary on foot goes for a velocity in the crossing's frame: direction (x, y), speed, m/s."""
     speed = math.hypot(*velocity)

@@ -26,7 +26,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, CommandLimits, as_pair
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Scene
-from skd_sim.world.world import Contact, World, first_contact_of, make_world
+from skd_sim.world.world import Contact, World, first_contact_of, make_world, road_left
 
 
 class Frame(NamedTuple):
@@ -351,8 +351,14 @@ class FrameSource(Protocol):
     def place(self, car: CarState, adversary: AdversaryState) -> States:
         """Put car and adversary at the start, and return their states as they really are then."""
 
-    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
-        """Command car (acceleration within the limits, m/s²) and adversary (velocity, m/s) from the next frame on."""
+    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
+        """Command car and adversary from the next frame on.
+
+        Args:
+            acceleration: of the car, within the limits, m/s².
+            steering: angle of its front wheels, within `STEERING_LIMIT`, rad to the left.
+            velocity: of the adversary, m/s.
+        """
 
     def advance(self) -> States:
         """Advance by one frame and return the states at its end."""
@@ -390,7 +396,7 @@ class FramedSimulator:
                 "straight road, or SKD's own world"
             )
         self._frames = _frames_per_period(scenario, self._source.frame_step)
-        self._episode = episode
+        self._episode, self._steered = episode, False
         self.clipped = 0
         self.own_contact = None if self._touching is None else math.nan
         world = make_world(episode)
@@ -406,12 +412,11 @@ class FramedSimulator:
         A tick ends early at a contact: what the simulator does to an adversary that has been hit is no part of its
         trajectory, which ends where its own command would have taken it by the end of the tick.
         """
-        acceleration, steering = as_pair(command)
-        if steering:
-            raise UsageError("the controller steers, which cars of another simulator cannot yet; take SKD's own world")
-        possible = self._source.limits.clip(acceleration)
-        self.clipped += possible != acceleration
-        self._source.control(possible, velocity)
+        commanded = as_pair(command)
+        possible = self._source.limits.possible(commanded)
+        self.clipped += possible != commanded
+        self._steered |= possible[1] != 0.0
+        self._source.control(*possible, velocity)
         scenario = self._episode.scenario
         _, car, adversary, *_ = self._now
         period, contact = self._now.period + 1, None
@@ -462,7 +467,10 @@ class FramedSimulator:
         (before, adversary), (after, adversary_then) = now, then
         here, there = (adversary, *self._others(frame)), (adversary_then, *self._others(frame + 1))
         moves = [(one[:2], end[:2], end[2:4], end.heading) for one, end in zip(here, there, strict=True)]
-        contact = first_contact_of(self._episode.scenario, np.array([before, after]), moves)
+        path = np.array([before, after])
+        contact = first_contact_of(self._episode.scenario, path, moves)
+        if self._steered:
+            contact = min(contact, road_left(self._episode.scenario, path, 0, 1))
         return contact if contact.fraction <= 1.0 else None
 
 

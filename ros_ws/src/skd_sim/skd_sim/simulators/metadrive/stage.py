@@ -24,7 +24,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH, SAME, Road
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.metadrive.pedals import FULL_SPEED, LEAST_SPEED, MeasuredPedal, Pedals
-from skd_sim.simulators.metadrive.vehicle import Cast, Placed, VehicleSpec
+from skd_sim.simulators.metadrive.vehicle import FULL_LOCK, Cast, Placed, VehicleSpec
 from skd_sim.simulators.simulator import SimulatorError, States
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
@@ -391,7 +391,7 @@ class MetaDriveFrames:
         self.position_error = 0.0
         return self._states()
 
-    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
         """Press the pedal that stands for an acceleration, or do what a driver within MetaDrive has decided."""
         decided, self._stage.decided = self._stage.decided, None
         self._velocity, self._acceleration = velocity, acceleration
@@ -400,7 +400,7 @@ class MetaDriveFrames:
             self._stage.drive(decided.steering, decided.pedal)
         else:
             self._holds = acceleration < 0.0
-            self._stage.drive(0.0, self._pedals.pedal(acceleration))
+            self._stage.drive(steering / FULL_LOCK, self._pedals.pedal(acceleration))
 
     def advance(self) -> States:
         """Take a step of the physics, at whose end all road users are where they are to be."""

@@ -34,6 +34,8 @@ _DRY: Final = 0.9  # wheel friction of MetaDrive's default vehicle: what `road.f
 _ENGINE_FORCE: Final = 800.0  # N a wheel at full throttle, the middle of what MetaDrive draws for its default vehicle
 _BRAKE_FORCE: Final = 130.0  # N s a wheel and physics step at full brake, the middle of what it draws
 _STEERING: Final = 40.0  # degrees at full lock
+FULL_LOCK: Final = math.radians(_STEERING)
+"""rad at the front wheels."""
 _TOP_SPEED: Final = 80.0  # km/h, above which its engine gives no more force; its observations are scaled by it
 _SPARE: Final = 36.0  # km/h above the start speed that a car of a faster scenario can still gain
 
