@@ -57,6 +57,7 @@ setup(
             "fuse = skd_evaluator.extensions.fusion.command:add_fuse",
             "export = skd_evaluator.extensions.exchange.export_command:add_export",
             "import = skd_evaluator.extensions.exchange.import_command:add_import",
+            "log = skd_evaluator.extensions.log.command:add_log",
         ],
         "skd.checks": [
             "ncap = skd_evaluator.extensions.ncap.result:with_regulator",

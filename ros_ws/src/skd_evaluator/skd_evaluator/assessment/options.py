@@ -88,7 +88,7 @@ class AssessmentOptions:
         low=0,
         high=1_000_000,
         metavar="N",
-        commands=("assess", "sweep", "replay", "ncap"),
+        commands=("assess", "sweep", "replay", "ncap", "log"),
     )
     warm_start: str = option(
         "",

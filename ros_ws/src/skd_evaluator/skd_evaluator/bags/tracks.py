@@ -29,10 +29,12 @@ TABLE_CAR, TABLE_OTHER = "car", "other"
 """Ids of car and road user in a table, unless said otherwise."""
 LONGEST_GAP = 0.5
 """s between two positions, or transforms, over which nothing is filled in: a car at 50 km/h moves 7 m in it."""
+USUAL_CAR = "/ego/odometry"
 TF = "/tf"
 """Topic of transforms; those that are fixed are on the one of this name with `_static` behind."""
 FASTEST = 70.0
 """m/s that no road user exceeds between two positions, jumps of a few centimetres left aside."""
+_BASE = "base_link"  # REP 105
 _JITTER = 0.3  # m
 _ZIGZAG, _OFTEN = 0.15, 0.2  # m to and fro in a fifth of all positions: of no sensor
 _RATES = 1.0, 1000.0  # positions per second
@@ -319,6 +321,51 @@ def bag_tracks(
     }
 
 
+def bag_objects(
+    files: Sequence[Path],
+    car: str | None = None,
+    map_frame: str | None = None,
+    *,
+    longest_gap: float = LONGEST_GAP,
+    tf: str = TF,
+    damage: Damage | None = None,
+) -> tuple[Track, list[Track | Listed]]:
+    """Return the car of a recording, and every other object in its frame or why it is not there; times as the car's.
+
+    Args:
+        files: the files of one recording.
+        car: name of the car, as of `bag_tracks`; None: SKD's own, else the only Odometry, else `/tf:base_link`.
+        map_frame: frame of the positions; None: that of the car.
+        longest_gap: as of `bag_tracks`.
+        tf: topic of the transforms.
+        damage: takes note of what is left out; by default that is refused.
+
+    Raises:
+        UsageError: it cannot be read, or does not say where the car is.
+    """
+    bag = _Bag(files, lambda _topic: True, longest_gap, damage or Damage())
+    car = bag.likely_car(tf) if car is None else car
+    rows, by_stamps = bag.rows_of(car, None if map_frame is None else bare(map_frame), tf)
+    origin, within = rows[0].stamp, None if map_frame is None else bare(map_frame)
+    own = bag.track(car, rows, origin, within, tf, by_stamps=by_stamps)
+
+    def beside(name: str) -> Track:
+        found, stamped = bag.rows_of(name, own.frame, tf)
+        if stamped != by_stamps:
+            raise UsageError("it or the car has no stamps, so it is unknown when both were where")
+        return bag.track(name, found, origin, own.frame, tf, by_stamps=by_stamps)
+
+    every = ((_named(topic, id_), topic, rows) for topic, ids in bag.rows.items() for id_, rows in ids.items())
+    return own, [
+        track_or_why(
+            f"{bag.where}, {name}", name, bag.topics[topic], beside, name,
+            times=[(one.stamp - origin) / SECOND for one in rows],
+        )
+        for name, topic, rows in every
+        if name != car
+    ]  # fmt: skip
+
+
 def bag_listing(files: Sequence[Path], damage: Damage, topics: Collection[str] = ()) -> list[Listed]:
     """Return what a recording holds: each object and frame, then the topics that are not read.
 
@@ -410,6 +457,20 @@ class _Bag:
                 self.unnamed.add((topic, id_))
             seen.add(id_)
             ids.setdefault(id_, []).append(row)
+
+    def likely_car(self, tf: str) -> str:
+        """Return the name of what is the car if anything is.
+
+        Raises:
+            UsageError: nothing is, or several may be.
+        """
+        poses = [topic for topic, kind in self.topics.items() if kind.endswith("Odometry") and topic in self.rows]
+        if USUAL_CAR in poses or len(poses) == 1:
+            return USUAL_CAR if USUAL_CAR in poses else poses[0]
+        if not poses and tf in self.trees and _BASE in self.trees[tf].frames:
+            return f"{tf}:{_BASE}"
+        some = f"it may be {listed(poses)}" if poses else f"it has no Odometry and no frame {_BASE!r}"
+        raise UsageError(f"{self.where}: which object is the car is unknown: {some}; name it by --car")
 
     def rows_of(self, name: str, map_frame: str | None, tf: str) -> tuple[list[_Row], bool]:
         """Return the rows of an object or a frame by their times, and whether these are stamps.

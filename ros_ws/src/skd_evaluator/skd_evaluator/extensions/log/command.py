@@ -1,0 +1,165 @@
+"""`skd log`: the conflicts in recordings of a drive, driven again by a car under test and ranked by safety margin."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skd_evaluator.assessment.options import AssessmentOptions
+from skd_evaluator.cli.arguments import (
+    CAR_GROUP,
+    add_count,
+    add_options,
+    add_output_arguments,
+    add_paths,
+    add_runner_arguments,
+    add_value,
+    real_number,
+    result_folder,
+    runner_of,
+)
+from skd_evaluator.cli.output import finish, warn
+from skd_evaluator.cli.parser import Parser
+
+if TYPE_CHECKING:
+    from skd_sim.scenario.scenario import Scenario
+
+    from skd_evaluator.extensions.log.conflicts import Conflict
+
+RESULT = "log.json"
+_SHOWN = 30
+_LONGEST_GAP = 0.5  # s
+
+
+def add_log(parser: Parser) -> None:
+    """Find the conflicts in recordings of a drive, and rank them by safety margin.
+
+    Find every road user in recordings whose predicted path meets the car's. Drive each such conflict again with a car
+    under test, and rank them by safety margin. Without --controller the recording alone gives bounds of the margin of
+    the car that drove (docs/logs.md).
+    """
+    parser.set_defaults(group="rate")
+    add_paths(parser, "paths", "PATH", "a recording of ROS, a csv of tracked objects, CITR, or a folder of them")
+    car = parser.add_argument_group(CAR_GROUP)
+    cars = "the car under test: basic, cal, a registered name, file.py:Class or package.module:Class (default: none)"
+    add_options(car, "log", CAR_GROUP, controller={"default": None, "help": cars})
+    add_options(car, "log", table=AssessmentOptions)
+    text = "road, shapes, braking and kind of road user of each conflict (default: %(default)s)"
+    add_value(car, "--scenario", text, default="crossing", metavar="NAME")
+    where = parser.add_argument_group("recordings")
+    text = "which object is the car that drove: a topic, /tf:FRAME or id (default: the only Odometry, else base_link)"
+    add_value(where, "--car", text, metavar="NAME")
+    add_value(where, "--map-frame", "frame to which tf brings all objects (default: that of the car)", metavar="FRAME")
+    add_value(where, "--tf-topic", "topic of a bag's transforms", default="/tf", metavar="TOPIC")
+    text = "how far ahead of the middle of the car its tracked point is, m"
+    add_value(where, "--reference", text, type=real_number(-20.0, 20.0), default=0.0, metavar="M")
+    text = "do not fill longer gaps"
+    add_value(where, "--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=_LONGEST_GAP, metavar="S")
+    which = parser.add_argument_group("conflicts")
+    text = "how far ahead both are predicted, s"
+    add_value(which, "--within", text, type=real_number(0.5, 30.0), default=4.0, metavar="S")
+    text = "earliest reaction, for the upper bound: a full brake so long after the road user leaves its path, s"
+    add_value(which, "--reaction", text, type=real_number(0.0, 10.0), default=0.5, metavar="S")
+    add_count(
+        which, "--export", 0, 10_000, "write so many of the worst as scenarios with a campaign of them", default=0
+    )
+    add_runner_arguments(parser)
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    from skd_sim.options.car_under_test import CarUnderTest
+    from skd_sim.scenario.scenario import load_scenario
+
+    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.bags.checks import Damage
+    from skd_evaluator.extensions.log.conflicts import ConflictRequest, conflicts_in
+    from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, read_drives
+    from skd_evaluator.extensions.log.margins import CAMPAIGN, export, with_margins
+    from skd_evaluator.report.progress import progress_bar
+    from skd_evaluator.version import version
+
+    damage, scenario = Damage(skip=True), _checked(arguments, load_scenario(arguments.scenario))
+    gap, reference = arguments.longest_gap, arguments.reference
+    request = ConflictRequest(scenario, arguments.within, arguments.reaction, gap, reference)
+    drives = DriveRequest(arguments.car, arguments.map_frame, arguments.tf_topic, gap)
+    out = result_folder(arguments)
+    found: list[Conflict] = []
+    left_out: list[tuple[str, str]] = []
+    with runner_of(arguments, isolated=True) as runner, progress_bar(quiet=arguments.quiet) as progress:
+        runner.start()
+        for number, drive in enumerate(read_drives(arguments.paths, drives, damage), start=1):
+            if isinstance(drive, RecordedDrive):
+                found += conflicts_in(drive, request)
+                left_out += [(f"{drive.name}, {name}", why) for name, why in drive.left_out]
+            else:
+                left_out.append(drive)
+            progress("recordings", number, number)
+        if arguments.controller is not None and arguments.margin_limit:
+            car = CarUnderTest(arguments.controller, arguments.multiplier)
+            found = with_margins(found, car, arguments.margin_limit, runner, progress)
+    found.sort(key=lambda one: one.rank)
+    rows = [one.as_dict() for one in found]
+    content = {
+        "log": 1,
+        "skd": version(),
+        "controller": arguments.controller,
+        "conflicts": rows,
+        "left_out": [{"what": what, "why": why} for what, why in left_out],
+        "warnings": damage.lines,
+    }
+    worst = [one for one in found if one.safe is not None][: arguments.export]
+
+    def write(folder: Path) -> None:
+        write_json(folder / RESULT, content)
+        if worst:
+            export(folder, worst, arguments.controller, arguments.multiplier)
+
+    problem = out.save(write)
+
+    def show() -> None:
+        _print(rows, arguments.controller)
+        warn("log", [*damage.lines, *(f"{what}: left out: {why}" for what, why in left_out)])
+        if worst and not problem:
+            print(f"next: skd campaign run {out.path / CAMPAIGN}")
+
+    return finish(arguments, content, show, failures=[problem])
+
+
+def _checked(arguments: argparse.Namespace, scenario: Scenario) -> Scenario:
+    """Return the scenario with the control period of the car under test, after all checks of it."""
+    from skd_sim.options.options import options_of
+
+    from skd_evaluator.assessment.from_options import check_car
+    from skd_evaluator.assessment.options import GraphOptions
+
+    if arguments.controller is None:
+        return scenario
+    return check_car(
+        {one.name: one.unsaid for one in options_of(GraphOptions)} | vars(arguments), scenario, graph=False
+    )
+
+
+def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
+    """Print the conflicts, the worst first, and why some were not driven again."""
+    from rich.markup import escape
+
+    from skd_evaluator.report.formats import counted
+    from skd_evaluator.report.terminal import narrow_table, print_table
+
+    again = sum(not row["why"] for row in rows)
+    title = f"{counted(len(rows), 'conflict')}, of which {again} can be driven again; {car or 'no car under test'}"
+    heads = ("drive", "road user", "at (s)", "km/h", "margin (m)", "impact (km/h)", "recorded (m)", "bounds (m)")
+    cells = []
+    for row in rows[:_SHOWN]:
+        speed, impact = ("" if (one := row[key]) is None else f"{3.6 * one:.0f}" for key in ("speed", "impact_speed"))
+        margin = "" if row["margin"] is None else f"{row['margin']:.2f}"
+        bounds = f"{row['least']:.2f} to {row['most']:.2f}"
+        where = (escape(row["drive"]), escape(row["user"]), f"{row['nearest']:.2f}", speed)
+        cells.append([*where, margin, impact, f"{row['recorded']:.2f}", bounds, escape(row["why"])])
+    print_table(narrow_table(title, (*heads, "not driven again because"), cells))
+    if len(rows) > _SHOWN:
+        print(f"{len(rows) - _SHOWN} more in {RESULT}")

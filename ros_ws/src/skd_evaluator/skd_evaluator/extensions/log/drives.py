@@ -1,0 +1,165 @@
+"""Recorded drives: the car and the road users beside it, in one frame and on one clock, as smooth states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import savgol_filter
+from skd_adversary.safe_trajectories.citr import FRAME_RATE, Clip, ClipTrack, is_citr, read_clips
+from skd_adversary.safe_trajectories.recordings import header_of
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.files import find_recordings, holds_recordings, name_of
+from skd_evaluator.bags.tracks import TABLE_CAR, TF, Listed, Track, bag_objects, table_tracks
+
+SMOOTHED, CAR_SMOOTHED = 1.0, 2.0
+"""s over which a parabola is fitted to positions of a road user, and of the car, whose speed decides most."""
+_FEWEST = 5  # positions of a piece without a gap
+_OWN = 1.0  # m: what is nearer to the car's reference point all the time is the car itself
+
+
+@dataclass(frozen=True)
+class DriveRequest:
+    """How drives are read.
+
+    Attributes:
+        car: name of the car; None: the usual one.
+        map_frame: frame in which tracks of bags are taken; None: the car's.
+        tf: topic of a bag's transforms.
+        longest_gap: time over which nothing is filled in, s.
+        reference: how far ahead of the middle of the car the tracked point is, m.
+    """
+
+    car: str | None = None
+    map_frame: str | None = None
+    tf: str = TF
+    longest_gap: float = 0.5
+    reference: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedDrive:
+    """A drive.
+
+    Attributes:
+        name: of the recording.
+        car: its track.
+        users: the road users.
+        left_out: name of each object that is left out, and why.
+    """
+
+    name: str
+    car: Track
+    users: tuple[Track, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+
+def read_drives(
+    paths: Sequence[Path], request: DriveRequest, damage: Damage
+) -> Iterator[RecordedDrive | tuple[str, str]]:
+    """Yield each drive of files and folders, or the name of a recording and why it is none.
+
+    Args:
+        paths: recordings of ROS, csv tables with the columns t, id, x, y, folders of CITR, or folders of these.
+        request: how they are read.
+        damage: takes note of what is left out.
+
+    Raises:
+        UsageError: a path is not there, or holds nothing of this kind.
+    """
+    for path in paths:
+        if not path.exists():
+            raise UsageError(f"{path}: no such file or folder")
+        found = list(_sources(path, request, damage))
+        if not found:
+            raise UsageError(f"{path}: holds no recording, no csv with the columns t, id, x, y, and no clip of CITR")
+        for name, read in found:
+            try:
+                car, others = read()
+            except UsageError as error:
+                yield name, str(error)
+                continue
+            yield _drive(name, car, others)
+
+
+_Read = Callable[[], tuple[Track, list[Track | Listed]]]
+
+
+def _sources(path: Path, request: DriveRequest, damage: Damage) -> Iterator[tuple[str, _Read]]:
+    """Yield the name of each recording at or below a path, and what reads it."""
+    if path.is_dir() and is_citr(path):
+        for clip in read_clips(path):
+            yield clip.name, partial(_clip, clip)
+        return
+    tables = sorted(path.rglob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
+    for table in tables:
+        if path == table or {"t", "id", "x", "y"} <= set(header_of(table)):
+            yield table.stem, partial(_table, table, request.car or TABLE_CAR)
+    if holds_recordings(path) if path.is_dir() else path not in tables:
+        gap, tf = request.longest_gap, request.tf
+        for files in find_recordings([path], damage):
+            read = partial(bag_objects, files, request.car, request.map_frame, longest_gap=gap, tf=tf, damage=damage)
+            yield name_of(files), read
+
+
+def _table(path: Path, car: str) -> tuple[Track, list[Track | Listed]]:
+    found = table_tracks(path)
+    own = found.pop(car, None)
+    if not isinstance(own, Track):
+        raise UsageError(f"{path}: {own.why if own else f'has no car {car!r}; name it by --car'}")
+    return own, list(found.values())
+
+
+def _clip(clip: Clip) -> tuple[Track, list[Track | Listed]]:
+    def track(one: ClipTrack, name: str) -> Track:
+        return Track(one.frames / FRAME_RATE, one.positions, f"{clip.name}, {name}", name=name)
+
+    return track(clip.cart, TABLE_CAR), [track(one, str(one.id)) for one in clip.tracks]
+
+
+def _drive(name: str, car: Track, others: Sequence[Track | Listed]) -> RecordedDrive | tuple[str, str]:
+    if why := car.jump:
+        return name, f"{car.name}: {why}"
+    users, left_out = [], []
+    for one in others:
+        why = one.why if isinstance(one, Listed) else one.jump or _is_car(car, one)
+        if isinstance(one, Track) and not why:
+            users.append(one)
+        else:
+            left_out.append((one.name, why))
+    return RecordedDrive(name, car, tuple(users), tuple(left_out))
+
+
+def _is_car(car: Track, other: Track) -> str:
+    """Return, in words, that an object is always where the car is; empty where it is not."""
+    times = other.times[(other.times >= car.times[0]) & (other.times <= car.times[-1])]
+    seen = [np.interp(times, car.times, column) for column in car.places.T]
+    places = [np.interp(times, other.times, column) for column in other.places.T]
+    apart = np.hypot(*np.subtract(seen, places))
+    return "is where the car is, all the time: the car itself" if apart.size and apart.max() < _OWN else ""
+
+
+def states_at(track: Track, times: FloatArray, longest_gap: float, smoothed: float = SMOOTHED) -> FloatArray:
+    """Return x, y (m) and their velocities (m/s) at some times (s), n × 4; nan where it is not tracked.
+
+    They are those of the parabola that fits best to the positions of `smoothed` s about each time.
+    """
+    found = np.full((len(times), 4), np.nan)
+    for rows in np.split(np.arange(len(track.times)), np.flatnonzero(np.diff(track.times) > longest_gap) + 1):
+        known = track.times[rows]
+        if len(rows) < _FEWEST:
+            continue
+        count = max(_FEWEST, 1 + round((known[-1] - known[0]) / float(np.median(np.diff(known)))))
+        even, step = np.linspace(known[0], known[-1], count, retstep=True)
+        places = np.column_stack([np.interp(even, known, column) for column in track.places[rows].T])
+        window = min(max(_FEWEST, 2 * round(0.5 * smoothed / step) + 1), count - 1 + count % 2)
+        fitted = np.column_stack([savgol_filter(places, window, 2, deriv, step, axis=0) for deriv in (0, 1)])
+        inside = np.flatnonzero((times >= known[0] - 1e-9) & (times <= known[-1] + 1e-9))
+        found[inside] = np.column_stack([np.interp(times[inside], even, column) for column in fitted.T])
+    return found

@@ -1,0 +1,109 @@
+"""The safety margin of each conflict for a car under test, and the worst conflicts as scenarios of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+from skd_sim.controllers.isolated import isolated
+from skd_sim.options.adversary import AdversaryModel
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.world.episode import EpisodeSpec, Mode
+
+from skd_evaluator.assessment.context import Progress
+from skd_evaluator.assessment.files.result_folder import write_json
+from skd_evaluator.assessment.run.workers import Workers
+from skd_evaluator.assessment.stages.margin import LABEL, exact_or_found
+from skd_evaluator.extensions.log.conflicts import Conflict
+from skd_evaluator.margin.actions import has_exact_margin
+from skd_evaluator.margin.search.rounds import one_by_one
+from skd_evaluator.margin.search.search import IN_PROCESS, search_margins
+from skd_evaluator.metrics.deviation import Hit
+from skd_evaluator.report.repeat import SCENARIO_FILE
+
+CAMPAIGN, TRAJECTORY = "campaign.yaml", "trajectory.csv"
+
+
+def with_margins(
+    conflicts: Sequence[Conflict], car: CarUnderTest, limit: int, runner: Workers, progress: Progress
+) -> list[Conflict]:
+    """Return conflicts with the margin of a car in each that can be driven again.
+
+    Args:
+        conflicts: found in recordings.
+        car: the car under test, in process.
+        limit: candidates that the search for a margin may drive.
+        runner: drives them, in several processes.
+        progress: called with how far the work is.
+
+    Raises:
+        AssessmentError: the car fails.
+    """
+    found = list(conflicts)
+    trials = [
+        EpisodeSpec(
+            one.scenario,
+            Mode.KAMIKAZE,
+            0,
+            row,
+            one.safe,
+            controller=car.controller,
+            multiplier=car.multiplier,
+            adversary_model=AdversaryModel.GENERIC,  # nothing is planned
+        )
+        for row, one in enumerate(found)
+        if one.scenario is not None
+    ]
+    hits = runner.map(_least, [(trial, limit) for trial in trials])
+    for count, (trial, hit) in enumerate(zip(trials, hits, strict=True), start=1):
+        margin = trial.scenario.eta_max if hit is None else min(hit.distance, trial.scenario.eta_max)
+        row = trial.episode_id
+        found[row] = replace(found[row], margin=margin, impact_speed=None if hit is None else hit.impact_speed)
+        progress(LABEL, count, len(trials))
+    return found
+
+
+def _least(work: tuple[EpisodeSpec, int]) -> Hit | None:
+    """Return the hit of least deviation in a trial, in a worker."""
+    return isolated(work[0].car.user_code, _least_here, work)
+
+
+def _least_here(work: tuple[EpisodeSpec, int]) -> Hit | None:
+    trial, limit = work
+    if has_exact_margin(trial.car, trial.scenario):
+        return exact_or_found(trial)
+    return search_margins([trial], {}, one_by_one, IN_PROCESS._replace(limit=limit)).hits[0]
+
+
+def export(folder: Path, conflicts: Sequence[Conflict], controller: str | None, multiplier: float) -> None:
+    """Write each conflict that can be driven again as a scenario with its φ, and a campaign of all.
+
+    Args:
+        folder: into which; it is there.
+        conflicts: the worst first.
+        controller: of the car under test; None: basic.
+        multiplier: its C, if it is basic.
+    """
+    cells: list[dict[str, Any]] = []
+    for number, one in enumerate(conflicts, start=1):
+        assert one.scenario is not None
+        assert one.safe is not None
+        inside = folder / f"conflict_{number:03}"
+        inside.mkdir()
+        scenario = one.scenario.as_dict()
+        scenario.pop("control_period", None)  # it comes with the controller
+        write_json(inside / SCENARIO_FILE, scenario)  # JSON is YAML
+        ticks = enumerate(one.safe.positions.tolist())
+        rows = [f"{tick * one.safe.time_step!r},{x!r},{y!r}" for tick, (x, y) in ticks]
+        (inside / TRAJECTORY).write_text("\n".join(["t,x,y", *rows, ""]), encoding="utf-8")
+        beside = {"scenario": f"{inside.name}/{SCENARIO_FILE}", "safe": f"{inside.name}/{TRAJECTORY}"}
+        cells.append({"name": inside.name, **beside})
+    car: dict[str, Any] = {"controller": controller or "basic"}
+    if car["controller"] == "basic":
+        car["multiplier"] = multiplier
+    few = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1}
+    campaign = {"defaults": few, "cars": [car], "scenarios": cells}
+    (folder / CAMPAIGN).write_text(yaml.safe_dump(campaign, sort_keys=False), encoding="utf-8")
