@@ -158,13 +158,13 @@ def true_trial(truth: Truth, user: str, begins: float, period: float | None) -> 
     """Return the trial that a conflict is, from a moment on (s), by the truth."""
     times, places = truth.users[user]
     s, speed = (float(np.interp(begins, truth.times, column)) for column in truth.car.T)
-    ticks = np.arange(begins, min(times[-1], begins + 9.0), STEP)
+    ticks = np.arange(begins, times[-1], STEP)
     right, along = (np.interp(ticks, times, column) for column in places.T)
     right = right if right[-1] > right[0] else -right
     line = float(np.interp(0.0, right, along))
     still = {"speed_noise": 0.0, "acceleration_noise": 0.0, "start_gap_range": 0.0}
     changes = {f"car.{key}": one for key, one in {**still, "start_speed": speed, "start_gap": line - s - FRONT}.items()}
-    ends = {"horizon": STEP * (len(ticks) - 1), "adversary.start_x": float(right[0]), "adversary.destination_x": 3.0}
+    ends = {"adversary.start_x": float(right[0]), "adversary.destination_x": 3.0}
     scenario = changed_scenario("crossing", {**changes, **ends, **({"control_period": period} if period else {})})
     phi = Trajectory(np.column_stack([right, along - line]), STEP)
     return EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, phi, controller="basic", multiplier=MULTIPLIER)

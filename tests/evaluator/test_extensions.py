@@ -14,7 +14,13 @@ from cli_support import SMALL
 from common import PATIENCE
 
 PACKAGE = Path(skd_evaluator.__file__).parent
-COMMANDS = {"campaign": ["campaign"], "exchange": ["export", "import"], "fusion": ["fuse"], "ncap": ["ncap"]}
+COMMANDS = {
+    "campaign": ["campaign"],
+    "exchange": ["export", "import"],
+    "fusion": ["fuse"],
+    "log": ["log"],
+    "ncap": ["ncap"],
+}
 
 
 def copied(folder: Path) -> Path:

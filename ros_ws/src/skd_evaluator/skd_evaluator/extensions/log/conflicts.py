@@ -21,8 +21,8 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.bags.tracks import Track
 from skd_evaluator.extensions.log.drives import CAR_SMOOTHED, RecordedDrive, states_at
 
-STEP = 0.05
-"""s between the moments at which a drive is looked at."""
+STEP, FINE = 0.05, 0.02
+"""s between the moments at which a drive, and a conflict in it, is looked at."""
 _NEAR = 0.5  # m between outlines, below which a predicted approach counts
 _LASTS = 0.25  # s that a conflict lasts at least
 _BEFORE, _AFTER = 1.0, 3.0  # s before it shows, and after the two are nearest
@@ -168,7 +168,7 @@ def _conflict(
 ) -> Conflict:
     user, car, gap = approach.user, drive.car, request.longest_gap
     begin = max(approach.first - _BEFORE, float(user.times[0]), float(car.times[0]))
-    times = np.arange(begin, min(approach.last + request.within, user.times[-1], car.times[-1]), STEP)
+    times = np.arange(begin, min(approach.last + request.within, user.times[-1], car.times[-1]), FINE)
     driven = _pointing(states_at(car, times, gap, CAR_SMOOTHED), request.reference)
     seen = states_at(user, times, gap)[:, :2]
     apart = _clearance(request.scenario, driven, seen)
@@ -207,16 +207,18 @@ def _simulated(
     base = request.scenario
     if found.speed < _DRIVES:
         raise UsageError(f"the car stands when it begins ({found.speed:.1f} m/s)")
-    ticks = times[0] + base.time_step * np.arange(math.ceil((times[-1] - times[0]) / base.time_step))
+    ticks = times[0] + base.time_step * np.arange(base.ticks + 1)
     walked = states_at(user, ticks, request.longest_gap)[:, :2]
-    if not (np.isfinite(walked).all() and np.isfinite(driven).all()):
+    known = np.isfinite(walked).all(axis=1)
+    walked = walked[: len(known) if known.all() else int(np.argmin(known))]
+    if ticks[len(walked) - 1] < times[-1] - base.time_step or not np.isfinite(driven).all():
         raise UsageError(f"the road user or the car is not tracked for more than {request.longest_gap:g} s of it")
     until = times <= found.nearest - found.begins + times[0] + 0.5
     line, offset, across = _line(driven[until, :2])
     if offset > _ASIDE:
         raise UsageError(f"the car turns: it is {offset:.1f} m off a straight line")
     fastest = road_user_named(base.adversary.kind).fastest
-    speed = float(np.hypot(*np.diff(walked, axis=0).T).max()) / base.time_step if len(walked) > 1 else 0.0
+    speed = float(np.hypot(*np.diff(walked, axis=0).T).max(initial=0.0)) / base.time_step
     if speed > fastest:
         raise UsageError(f"the road user goes {speed:.1f} m/s, and no {base.adversary.kind} does: give --scenario")
     phi = np.column_stack([(walked - driven[0, :2]) @ across, (walked - driven[0, :2]) @ line])
@@ -253,7 +255,6 @@ def _scenario(base: Scenario, name: str, phi: FloatArray, speed: float, gap: flo
     data |= {
         "name": name,
         "description": "A conflict of a recorded drive.",
-        "horizon": base.time_step * max(2, len(phi) - 1),
         "road": {"lane_width": base.road.lane_width, "friction": base.road.friction},
         "car": data["car"] | {"start_speed": speed, "start_gap": gap, "start_gap_range": 0.0}
         | {"meet_safe_trajectory": False, "speed_noise": 0.0, "acceleration_noise": 0.0},
@@ -271,17 +272,17 @@ def _bounds(request: ConflictRequest, car: FloatArray, places: FloatArray) -> tu
 
     Args:
         request: what a car could do.
-        car: recorded poses and speeds each `STEP` s, n × 4.
+        car: recorded poses and speeds each `FINE` s, n × 4.
         places: φ at the same moments, n × 2, m.
     """
     scenario = request.scenario
     slow, brake, most = scenario.collision.hit_speed, scenario.car.deceleration, scenario.eta_max
     apart = _clearance(scenario, car, places)
     recorded = least = float(np.nanmin(np.where(car[:, 3] >= slow, apart, most), initial=most))
-    braked, delay = most, round(request.reaction / STEP)
+    braked, delay = most, round(request.reaction / FINE)
     for leaves in range(len(car) - 1):
         rest = car[leaves:]
-        passed = STEP * np.arange(len(rest))
+        passed = FINE * np.arange(len(rest))
         begin = min(delay, len(rest) - 1)
         lasted = np.clip(passed - passed[begin], 0.0, rest[begin, 3] / brake)
         speed = np.where(passed <= passed[begin], rest[:, 3], rest[begin, 3] - brake * lasted)
