@@ -209,9 +209,10 @@ def _simulated(
         raise UsageError(f"the car stands when it begins ({found.speed:.1f} m/s)")
     ticks = times[0] + base.time_step * np.arange(base.ticks + 1)
     walked = states_at(user, ticks, request.longest_gap)[:, :2]
-    known = np.isfinite(walked).all(axis=1)
-    walked = walked[: len(known) if known.all() else int(np.argmin(known))]
-    if ticks[len(walked) - 1] < times[-1] - base.time_step or not np.isfinite(driven).all():
+    holes = np.flatnonzero(np.isnan(walked).any(axis=1))
+    walked = walked[: holes[0]] if holes.size else walked
+    whole = len(walked) > 1 and ticks[len(walked) - 1] >= times[-1] - base.time_step
+    if not whole or not np.isfinite(driven).all():
         raise UsageError(f"the road user or the car is not tracked for more than {request.longest_gap:g} s of it")
     until = times <= found.nearest - found.begins + times[0] + 0.5
     line, offset, across = _line(driven[until, :2])
