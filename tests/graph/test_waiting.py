@@ -69,26 +69,26 @@ def stamped(nanoseconds: int) -> AccelStamped:
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 HEARS, COMMANDS_IT = listens(Odometry, "/ego/odometry"), publishes(AccelStamped)
-FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {
+FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose names begin with the cause
     "wrong type": ((HEARS, publishes(Twist)), "-p command_type:=twist", {}),
     "quality of service": (
         (HEARS, publishes(AccelStamped, quality=BEST_EFFORT)),
         "qos_overrides./ego/acceleration_command.publisher.reliability",
         {"newest": START},  # it answers as it should, and the simulator hears nothing of it
     ),
-    "wrong type of subscription": (
+    "subscription of another type": (
         (COMMANDS_IT, listens(PoseStamped, "/ego/odometry")),
         "listens to /ego/odometry for geometry_msgs/msg/PoseStamped, it has nav_msgs/msg/Odometry",
         {},
     ),
-    "quality of service of subscription": (
+    "subscription with another quality of service": (
         (COMMANDS_IT, listens(Odometry, "/ego/odometry", KEPT)),
         "/ego/odometry with a durability that is not offered",
         {},
     ),
-    "zero stamp": ((HEARS, COMMANDS_IT), "-p quiet_time:=0.1, or --pacing real_time", {"newest": 0}),
-    "wall clock": ((HEARS, COMMANDS_IT), "set use_sim_time:=true", {"newest": 1_700_000_000 * SECOND}),
-    "other stamp": ((HEARS, COMMANDS_IT), "their stamps lag by 3 s: ", {"newest": START - 3 * SECOND}),
+    "stamp of zero": ((HEARS, COMMANDS_IT), "-p quiet_time:=0.1, or --pacing real_time", {"newest": 0}),
+    "stamp of the wall clock": ((HEARS, COMMANDS_IT), "set use_sim_time:=true", {"newest": 1_700_000_000 * SECOND}),
+    "stamp of another state": ((HEARS, COMMANDS_IT), "their stamps lag by 3 s: ", {"newest": START - 3 * SECOND}),
     "no laser": (
         (COMMANDS_IT, listens(LaserScan, "/ego/scan")),
         "the scenario has no section sensor",
@@ -109,7 +109,7 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {
     "perhaps remapped": ((HEARS, COMMANDS_IT, listens(PoseStamped, "/goal")), "/stack listens to /goal", {}),
     "follows the clock": ((HEARS, COMMANDS_IT, listens(Clock, "/clock")), "-p quiet_time:=0.1", {}),
     "silent": ((HEARS, COMMANDS_IT), "has not published yet: see its log, or -p startup_timeout:=120", {}),
-    "does not publish": (
+    "silent, and only listens": (
         (HEARS,),
         "/ego/acceleration_command; nodes that are not SKD's: /stack",
         {},
@@ -130,7 +130,7 @@ def test_the_cause_is_found_and_what_mends_it_is_said(graph: Graph, name: str) -
     def found() -> bool:
         evidence = Evidence(graph.watcher, COMMANDS, START, heard=heard, **given)
         diagnosis = diagnose(evidence)
-        return diagnosis.cause == name and said in diagnosis.text and not evidence.answered
+        return name.startswith(diagnosis.cause) and said in diagnosis.text and not evidence.answered
 
     wait_until(found, said)
 
@@ -148,7 +148,7 @@ def test_a_managed_node_may_not_be_active(graph: Graph) -> None:
 
 def test_nobody_is_there(graph: Graph) -> None:
     graph.stack.destroy_node()
-    wait_until(lambda: diagnose(Evidence(graph.watcher, COMMANDS, START)).cause == "not there")
+    wait_until(lambda: "no node but SKD's own" in diagnose(Evidence(graph.watcher, COMMANDS, START)).text)
     walks = Awaited("/adversary/velocity_command", "geometry_msgs/msg/TwistStamped")
     assert diagnose(Evidence(graph.watcher, walks, START)).cause == "no adversary"
 

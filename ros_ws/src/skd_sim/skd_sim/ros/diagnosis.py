@@ -147,23 +147,9 @@ class Evidence:
     @property
     def answered(self) -> bool:
         """Whether a command came that counts: also one that the simulator's subscription takes."""
-        if not self.has_come(self.awaited.topic) or any(one.find(self) for one in (_QOS_OF_PUBLISHER, *_STAMPS)):
+        if not self.has_come(self.awaited.topic) or _qos_of_publisher(self) or _stamp(self):
             return False
         return self.newest is None or not self.by_stamp or self.newest == self.stamp
-
-
-class Cause(NamedTuple):
-    """A cause.
-
-    Attributes:
-        name: what it is called.
-        certain: whether waiting does not mend it.
-        find: returns what is seen and what mends it; none where it is another cause.
-    """
-
-    name: str
-    certain: bool
-    find: Callable[[Evidence], str | None]
 
 
 class Diagnosis(NamedTuple):
@@ -176,8 +162,8 @@ class Diagnosis(NamedTuple):
 
 def diagnose(evidence: Evidence) -> Diagnosis:
     """Return the first cause that fits."""
-    found = ((one, one.find(evidence)) for one in CAUSES)
-    return next(Diagnosis(one.name, one.certain, text) for one, text in found if text)
+    found = ((name, certain, find(evidence)) for name, (certain, find) in CAUSES.items())
+    return next(Diagnosis(name, certain, text) for name, certain, text in found if text)
 
 
 def _no_adversary(seen: Evidence) -> str | None:
@@ -212,62 +198,32 @@ def _qos_of_publisher(seen: Evidence) -> str | None:
     return f"{name} publishes {topic} with a {policy} that is {how} (qos_overrides.{topic}.publisher.{policy})"
 
 
-_QOS_OF_PUBLISHER = Cause("quality of service", True, _qos_of_publisher)
-
-
-def _state_subscriptions(seen: Evidence) -> list[tuple[str, str, Any, Any]]:
-    """Return (node, topic, its subscription, our publisher) for each of SKD's states that another node hears."""
-    found = []
-    for topic in (*_STATES, CLOCK):
-        ours = [
-            one for one in seen.node.get_publishers_info_by_topic(seen.full(topic)) if endpoint_name(one) in seen.own
-        ]
-        for one in seen.node.get_subscriptions_info_by_topic(seen.full(topic)):
-            if ours and endpoint_name(one) in seen.listening:
-                found.append((endpoint_name(one), seen.full(topic), one, ours[0]))
-    return found
-
-
-def _type_of_subscription(seen: Evidence) -> str | None:
-    for name, topic, theirs, ours in _state_subscriptions(seen):
-        if theirs.topic_type != ours.topic_type:
-            return f"{name} listens to {topic} for {theirs.topic_type}, it has {ours.topic_type}: take that"
+def _subscription(seen: Evidence) -> str | None:
+    """Of a node that hears one of SKD's states, and takes it for another type or with what is not offered."""
+    for topic in map(seen.full, (*_STATES, CLOCK)):
+        ours = [one for one in seen.node.get_publishers_info_by_topic(topic) if endpoint_name(one) in seen.own]
+        for theirs in seen.node.get_subscriptions_info_by_topic(topic) if ours else ():
+            if (name := endpoint_name(theirs)) not in seen.listening:
+                continue
+            if theirs.topic_type != ours[0].topic_type:
+                return f"{name} listens to {topic} for {theirs.topic_type}, it has {ours[0].topic_type}: take that"
+            if policy := _misfit(ours[0].qos_profile, theirs.qos_profile):
+                return (
+                    f"{name} listens to {topic} with a {policy} that is not offered: "
+                    f"qos_overrides.{topic}.subscription.{policy}, or depth 10 alone"
+                )
     return None
 
 
-def _qos_of_subscription(seen: Evidence) -> str | None:
-    for name, topic, theirs, ours in _state_subscriptions(seen):
-        policy = _misfit(ours.qos_profile, theirs.qos_profile)
-        if policy:
-            return (
-                f"{name} listens to {topic} with a {policy} that is not offered: "
-                f"qos_overrides.{topic}.subscription.{policy}, or depth 10 alone"
-            )
-    return None
-
-
-def _stamp(fits: Callable[[int, Evidence], bool]) -> Callable[[Evidence], str | None]:
-    """Return what finds a stamp of no use, where the newest one (ns) fits."""
-
-    def find(seen: Evidence) -> str | None:
-        if seen.newest is None or not fits(seen.newest, seen):
-            return None
-        return f"commands come, but their stamps {stamp_fault(seen.newest, seen.stamp or 0)}"
-
-    return find
-
-
-def _is_other(newest: int, seen: Evidence) -> bool:
-    if not newest or seen.stamp is None or newest == seen.stamp:
-        return False
-    return seen.by_stamp or newest < seen.stamp - LEAD
-
-
-_STAMPS = (
-    Cause("zero stamp", True, _stamp(lambda newest, seen: seen.by_stamp and newest == 0)),
-    Cause("wall clock", True, _stamp(lambda newest, seen: seen.by_stamp and newest > WALL_CLOCK)),
-    Cause("other stamp", True, _stamp(_is_other)),
-)
+def _stamp(seen: Evidence) -> str | None:
+    newest, awaited = seen.newest, seen.stamp
+    if newest is None:
+        return None
+    if seen.by_stamp:
+        wrong = newest == 0 or newest > WALL_CLOCK or awaited not in (None, newest)
+    else:
+        wrong = awaited is not None and 0 < newest < awaited - LEAD
+    return f"commands come, but their stamps {stamp_fault(newest, awaited or 0)}" if wrong else None
 
 
 def _without_laser(seen: Evidence) -> str | None:
@@ -337,44 +293,35 @@ def _follows_clock(seen: Evidence) -> str | None:
     return None
 
 
-def _silent(seen: Evidence) -> str | None:
-    names = " and ".join(sorted({one.name for one in seen.publishers}))
-    return f"{names} is there and has not published yet: see its log, or -p startup_timeout:=120" if names else None
+def _silent(seen: Evidence) -> str:
+    if seen.publishers:
+        names = " and ".join(sorted({one.name for one in seen.publishers}))
+        return f"{names} is there and has not published yet: see its log, or -p startup_timeout:=120"
+    nobody = f"no node publishes on {seen.awaited.topic}"
+    if seen.listening:
+        return f"{nobody}; nodes that are not SKD's: {', '.join(sorted(seen.listening)[:_MOST])}"
+    return f"{nobody}, and there is no node but SKD's own: start it, in the same ROS_DOMAIN_ID"
 
 
-def _does_not_publish(seen: Evidence) -> str | None:
-    if not seen.listening:
-        return None
-    names = ", ".join(sorted(seen.listening)[:_MOST])
-    return f"no node publishes on {seen.awaited.topic}; nodes that are not SKD's: {names}"
+CAUSES: Mapping[str, tuple[bool, Callable[[Evidence], str | None]]] = {
+    "no adversary": (False, _no_adversary),
+    "wrong type": (True, _type),
+    "quality of service": (True, _qos_of_publisher),
+    "subscription": (True, _subscription),
+    "stamp": (True, _stamp),
+    "no laser": (True, _without_laser),
+    "not active": (False, _not_active),
+    "wrong topic": (True, _arrives_elsewhere),
+    "hears nothing": (True, _hears_nothing),
+    "perhaps wrong topic": (False, _elsewhere),
+    "perhaps remapped": (False, _unpublished),
+    "follows the clock": (False, _follows_clock),
+    "silent": (False, _silent),
+}
+"""By name, in the order in which they are tried: whether waiting does not mend it, and what finds it.
 
-
-def _not_there(seen: Evidence) -> str:
-    return (
-        f"no node publishes on {seen.awaited.topic}, and there is no node but SKD's own: start it, in the same "
-        "ROS_DOMAIN_ID"
-    )
-
-
-CAUSES = (
-    Cause("no adversary", False, _no_adversary),
-    Cause("wrong type", True, _type),
-    _QOS_OF_PUBLISHER,
-    Cause("wrong type of subscription", True, _type_of_subscription),
-    Cause("quality of service of subscription", True, _qos_of_subscription),
-    *_STAMPS,
-    Cause("no laser", True, _without_laser),
-    Cause("not active", False, _not_active),
-    Cause("wrong topic", True, _arrives_elsewhere),
-    Cause("hears nothing", True, _hears_nothing),
-    Cause("perhaps wrong topic", False, _elsewhere),
-    Cause("perhaps remapped", False, _unpublished),
-    Cause("follows the clock", False, _follows_clock),
-    Cause("silent", False, _silent),
-    Cause("does not publish", False, _does_not_publish),
-    Cause("not there", False, _not_there),
-)
-"""In the order in which they are tried."""
+It returns what is seen and what mends it; none where it is another cause.
+"""
 
 
 def class_of(kind: str) -> type | None:
