@@ -22,7 +22,6 @@ from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
     POOR,
     Recorded,
-    ReplayedDrive,
     SimulatorCalibration,
     calibrated,
     estimated,
@@ -30,6 +29,7 @@ from skd_evaluator.extensions.fusion.calibration import (
 )
 from skd_evaluator.metrics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import EpisodeSpec, Mode
@@ -99,7 +99,7 @@ def fitted(case: Case, world: Scenario, trials: list[Recorded]) -> SimulatorCali
 
     def off(values: Mapping[str, float]) -> list[FloatArray]:
         scenario = calibrated(world, values)
-        return [off_by(ReplayedDrive(one, scenario, case.controller, 1.0)) for one in trials]
+        return [off_by(scenario, CarUnderTest(case.controller, 1.0), one) for one in trials]
 
     return estimated(off, start, case.free, list(range(len(trials))))
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.extensions.fusion.calibration import Recorded, ReplayedDrive, calibrated, estimated, off_by, recorded
+from skd_evaluator.extensions.fusion.calibration import Recorded, calibrated, estimated, off_by, recorded
 from skd_evaluator.metrics.surrogate_scenes import Interaction
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
@@ -90,9 +91,9 @@ def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
     log = run_episode(EpisodeSpec(quiet, Mode.REPLAY, 0, 0, Trajectory(other, world.time_step, "walk")))
     assert (quiet.control_periods, log.car[-1, 3] < 0.9 * log.car[0, 3]) == (1, True)
     trial = Recorded("walk", log.adversary, log.car, "here")
-    assert np.abs(off_by(ReplayedDrive(trial, quiet, "basic", 1.0))).max() < 1e-9
+    assert np.abs(off_by(quiet, CarUnderTest("basic", 1.0), trial)).max() < 1e-9
     slower = calibrated(quiet, {"delay": 0.1})
-    assert off_by(ReplayedDrive(trial, slower, "basic", 1.0))[-1] > 0.5  # the recorded car braked later, and is ahead
+    assert off_by(slower, CarUnderTest("basic", 1.0), trial)[-1] > 0.5  # the recorded car braked later, and is ahead
 
 
 def test_recordings_that_cannot_calibrate_are_refused():

@@ -10,7 +10,7 @@ import pytest
 from exchange_support import passes, recorded, safe, scenarios, walk
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.extensions.exchange.scene import stretch
-from skd_evaluator.extensions.exchange.xml_formats import opendrive, write_openscenario, write_road
+from skd_evaluator.extensions.exchange.xml_formats import write_openscenario, write_road
 from skd_sim.scenario.road import ONCOMING
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
@@ -110,10 +110,11 @@ def points_of(road: ElementTree.Element, spacing: float = 0.1) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SCENARIOS.own)
-def test_the_lanes_of_the_road_are_those_of_the_scenario(name: str):
+def test_the_lanes_of_the_road_are_those_of_the_scenario(name: str, tmp_path: Path):
     """Edges from lane offset and widths, as OpenDRIVE counts them, against the scenario's own; in metres."""
     one = recorded(name)
-    scenario, root = one.scenario, ElementTree.fromstring(opendrive([one]).encode())
+    write_road(tmp_path / "road.xodr", [one])
+    scenario, root = one.scenario, ElementTree.parse(tmp_path / "road.xodr").getroot()
     roads = root.findall("road")
     elsewhere = [number for number, lane in scenario.road.every_lane.items() if not lane.beside]
     assert len(roads) == 1 + len(elsewhere)

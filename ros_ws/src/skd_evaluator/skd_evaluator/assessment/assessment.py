@@ -306,16 +306,6 @@ class Assessment:
         return found[first_of(preferred, found)]
 
     @property
-    def trials(self) -> int:
-        """Kamikaze episodes run, aborted ones not counted."""
-        return sum(one.trials for one in self.results)
-
-    @property
-    def successes(self) -> int:
-        """Kamikaze episodes that ended in a collision."""
-        return sum(one.successes for one in self.results)
-
-    @property
     def episodes(self) -> int:
         """Episodes run, kamikaze and along φ, aborted ones included."""
         return sum(len(group.episodes) for one in self.results for group in one.kamikaze) + len(self.nominal_runs)

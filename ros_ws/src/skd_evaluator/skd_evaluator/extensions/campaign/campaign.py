@@ -40,7 +40,6 @@ from skd_evaluator.assessment.files.episode_store import (
     changes,
     remove_files,
 )
-from skd_evaluator.assessment.files.episode_store import FILE_NAME as STORE
 from skd_evaluator.assessment.files.result_folder import csv_text, write_manifests
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import fresh_process
@@ -166,7 +165,8 @@ class CampaignFolder:
         for cell in cells:
             self._remove_cell(self.path / cell)
             shutil.rmtree(self.path / f"{cell}.logs", ignore_errors=True)
-        for name in (CAMPAIGN, TABLE, *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")), CELLS):
+        remove_files(self.path / FILE_NAME)
+        for name in (CAMPAIGN, TABLE, CELLS):
             (self.path / name).unlink(missing_ok=True)
 
     def _remove_cell(self, folder: Path) -> None:

@@ -42,8 +42,10 @@ def number(value: float) -> str:
     return str(np.format_float_positional(float(value), trim="0"))
 
 
-def _filled(template: str, **values: Any) -> str:
-    return filled("skd_evaluator.extensions.exchange", template, n=number, zip=zip, **values)
+def _write(path: Path, template: str, **values: Any) -> None:
+    path.write_text(
+        filled("skd_evaluator.extensions.exchange", template, n=number, zip=zip, **values), encoding="utf-8"
+    )
 
 
 # --- OpenDRIVE
@@ -51,18 +53,13 @@ def _filled(template: str, **values: Any) -> str:
 
 def write_road(path: Path, recorded: Sequence[ExportedEpisode]) -> None:
     """Write the road on which some episodes of one scenario are, as long as they need it."""
-    path.write_text(opendrive(recorded), encoding="utf-8")
-
-
-def opendrive(recorded: Sequence[ExportedEpisode]) -> str:
-    """Return the road of a scenario as a document, as far as some episodes need it."""
     scenario = recorded[0].scenario
     road = scenario.road
     beside = sorted(number for number, lane in road.every_lane.items() if lane.beside)
     elsewhere = [number for number, lane in road.every_lane.items() if not lane.beside]
     roads = [_road(road, beside, stretch(scenario, recorded))]
     roads += [_road(road, [one], stretch(scenario, recorded, one)) for one in elsewhere]
-    return _filled("opendrive.xodr.j2", called=one_line(scenario.name), date=recorded[0].date, roads=roads)
+    _write(path, "opendrive.xodr.j2", called=one_line(scenario.name), date=recorded[0].date, roads=roads)
 
 
 def _road(road: Road, lanes: Sequence[int], span: tuple[float, float]) -> dict[str, Any]:
@@ -103,19 +100,17 @@ def _pieces(line: FloatArray, low: float, high: float) -> list[tuple[float, floa
 
 
 def write_openscenario(path: Path, recorded: ExportedEpisode) -> None:
-    """Write an episode; its road is in the file `ROAD_FILE` beside it."""
-    path.write_text(openscenario(recorded), encoding="utf-8")
+    """Write an episode; its road is in the file `ROAD_FILE` beside it.
 
-
-def openscenario(recorded: ExportedEpisode) -> str:
-    """Return an episode as a document; a car that was left out begins as it did, and another may drive it."""
+    A car that was left out begins as it did, and another may drive it.
+    """
     car, actors = recorded.scenario.car, recorded.actors
     if recorded.ego is None:
         size, centre = (car.front + car.rear, car.width, height_of(CAR)), 0.5 * (car.front - car.rear)
         actors = (Actor(EGO, EGO_ID, None, size, centre, np.zeros(1), np.array([recorded.start])), *actors)
     moving = [one for one in actors if not one.stands]
     about = {"recorded": recorded, "road_file": ROAD_FILE, "ego": EGO}
-    return _filled("openscenario.xosc.j2", actors=actors, moving=moving, **about)
+    _write(path, "openscenario.xosc.j2", actors=actors, moving=moving, **about)
 
 
 # --- CommonRoad
@@ -125,12 +120,7 @@ _GOAL = 20.0  # m behind the crossing line, and so long
 
 
 def write_commonroad(path: Path, recorded: ExportedEpisode) -> None:
-    """Write an episode."""
-    path.write_text(commonroad(recorded), encoding="utf-8")
-
-
-def commonroad(recorded: ExportedEpisode) -> str:
-    """Return an episode as a document.
+    """Write an episode.
 
     The car's task: from where it begins, to be beyond the crossing line within the scenario's horizon.
     """
@@ -145,7 +135,8 @@ def commonroad(recorded: ExportedEpisode) -> str:
         found: list[list[float]] = np.column_stack([actor.centres, actor.states[:, 2:], ticks]).tolist()
         return found
 
-    return _filled(
+    _write(
+        path,
         "commonroad.xml.j2",
         recorded=recorded,
         called="".join(one for one in scenario.name.title() if one.isascii() and one.isalnum()) or "Skd",

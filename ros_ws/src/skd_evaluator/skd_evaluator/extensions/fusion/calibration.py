@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -129,23 +130,6 @@ class Recorded:
     where: str
 
 
-@dataclass(frozen=True)
-class ReplayedDrive:
-    """A trial that is to be driven again.
-
-    Attributes:
-        trial: as it was recorded.
-        scenario: the simulated world.
-        controller: of the car.
-        multiplier: of the basic car.
-    """
-
-    trial: Recorded
-    scenario: Scenario
-    controller: str
-    multiplier: float
-
-
 class ShownRecording:
     """SKD's own world, whose car goes by itself while its controller is shown the recorded one."""
 
@@ -200,13 +184,17 @@ def recorded(scenario: Scenario, scene: Interaction, phi: str, where: str) -> Re
     return Recorded(phi, places, states, where)
 
 
-def off_by(drive: ReplayedDrive) -> FloatArray:
+def off_by(scenario: Scenario, tested: CarUnderTest, trial: Recorded) -> FloatArray:
     """Return how far the recorded car is ahead of the simulated one along the road, at each tick, m.
+
+    Args:
+        scenario: the simulated world.
+        tested: the car that is driven again.
+        trial: as it was recorded.
 
     Raises:
         AssessmentError: the episode was aborted.
     """
-    trial, scenario = drive.trial, drive.scenario
     car = replace(
         scenario.car, start_gap_range=0.0, meet_safe_trajectory=False, speed_noise=0.0, acceleration_noise=0.0
     )
@@ -218,8 +206,8 @@ def off_by(drive: ReplayedDrive) -> FloatArray:
         0,
         Trajectory(trial.other, scenario.time_step, trial.phi),
         public=scenario,
-        controller=drive.controller,
-        multiplier=drive.multiplier,
+        controller=tested.controller,
+        multiplier=tested.multiplier,
     )
     shown = ShownRecording(trial.car)
     log = run_episode(episode, simulator=shown)
@@ -411,9 +399,7 @@ def calibration_of(
         runner.start()
 
         def off(values: Mapping[str, float]) -> list[np.ndarray]:
-            scenario = calibrated(world, values)
-            drives = [ReplayedDrive(one, scenario, car.controller, car.multiplier) for one in trials]
-            return list(runner.map(off_by, drives))
+            return list(runner.map(partial(off_by, calibrated(world, values), car), trials))
 
         try:
             free = [name for name in known if not names or name in names]
