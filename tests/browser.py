@@ -118,13 +118,7 @@ def axe_source() -> str:
 
 
 def serious_findings(page: Any, source: str, rules: Sequence[str]) -> list[str]:
-    """Return what axe-core finds on a page that is serious or critical: rule, place and reason.
-
-    Args:
-        page: the page.
-        source: the program.
-        rules: names of rules, or of sets of rules, that are looked at.
-    """
+    """Return what axe-core finds on a page that is serious or critical: rule, place and reason."""
     page.evaluate(source)  # beside the page's policy, which lets no other code in
     found = page.evaluate(f"axe.run(document, {{ resultTypes: ['violations'], runOnly: {list(rules)} }})")
     return [

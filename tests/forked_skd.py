@@ -43,13 +43,7 @@ class ForkedSkd:
     """A running command, as `subprocess.Popen` would be that captures its output as text."""
 
     def __init__(self, arguments: Sequence[str], *, cwd: Path, environment: Mapping[str, str]) -> None:
-        """Start it.
-
-        Args:
-            arguments: of the command line, without `skd`.
-            cwd: folder to run in.
-            environment: all of its variables.
-        """
+        """Start it."""
         assert [environment.get(name) for name in _FIXED] == [os.environ.get(name) for name in _FIXED]
         self._words = ["skd", *arguments]
         request = json.dumps({"arguments": [*arguments], "cwd": str(cwd), "environment": {**environment}}).encode()

@@ -34,15 +34,7 @@ _ROUNDING = 1e-6
 
 
 def beyond(kind: str, path: FloatArray, way: FloatArray, step: float, heading: float = 0.0) -> float:
-    """Return by how much the worst step of a way is beyond the limits in docs/decisions.md (4), m/s² or rad.
-
-    Args:
-        kind: of road user.
-        path: φ, with whose first step it comes, n × 2, m.
-        way: ψ, k × 2, m.
-        step: s.
-        heading: of a box that stands, rad.
-    """
+    """Return by how much the worst step of a way is beyond the limits in docs/decisions.md (4), m/s² or rad."""
     velocities = np.vstack([path[1] - path[0], np.diff(way, axis=0)]) / step
     if kind in ON_FOOT:
         return float(np.hypot(*np.diff(velocities, axis=0).T).max() / step) - ON_FOOT[kind]

@@ -22,14 +22,7 @@ class Terminal:
     """A program with a terminal for input and output, as a user has it."""
 
     def __init__(self, words: Sequence[str], *, columns: int = 80, lines: int = 24, **environment: str) -> None:
-        """Start it.
-
-        Args:
-            words: program and arguments.
-            columns: width of the terminal.
-            lines: height of the terminal.
-            environment: variables beside those of this process.
-        """
+        """Start it."""
         variables: Mapping[str, str] = {**os.environ, "TERM": "xterm-256color", **environment}
         self.pid, self._descriptor = pty.fork()
         if self.pid == 0:

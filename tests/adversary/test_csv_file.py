@@ -62,8 +62,13 @@ def test_dialects(tmp_path: Path, text: str) -> None:
         ("t,x,y\n0,-3.5,0\n50,2,0\n", "line 3: lasts 50 s, longer than the scenario's horizon of 12 s"),
         ("t,x,y\n0,-3.5,0\n3,-1.5,0\n", "never enters the car's path"),
         ("t,x,y\n0,0,-15\n3,2,0\n", "where the car starts"),
+        ("t,x,y\n0,-3,0\n0.3,-2.5,0\n0.6,37.5,0\n", "line 4: moves 40 m in 0.3 s (133 m/s); "),
+        ("t,x,y\n0,-3,0\n1,-2,0\n1.3,-2,9\n3,3,0\n", "line 4: moves 9 m"),
+        ("t,x,y\n0,-3,0\n1e-310,-2,0\n", "line 3: moves 1 m in 1e-310 s (inf m/s)"),
+        ("t,x,y\n0,3,0\n3,-3,0\n", "walks West, from x = 3 to -3 m"),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_bad_file(tmp_path: Path, text: str, message: str) -> None:
     file = _write(tmp_path, text)
     with pytest.raises(UsageError) as caught:
@@ -88,35 +93,17 @@ def test_sources_file_and_folder(tmp_path: Path) -> None:
         load_safe_trajectories(str(tmp_path), SCENARIO, 2)
 
 
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ("0,-3,0\n0.3,-2.5,0\n0.6,37.5,0\n", r"line 4: moves 40 m in 0.3 s \(133 m/s\); .* at most 12 m/s"),
-        ("0,-3,0\n1,-2,0\n1.3,-2,9\n3,3,0\n", "line 4: moves 9 m"),
-        ("0,-3,0\n1e-310,-2,0\n", r"line 3: moves 1 m in 1e-310 s \(inf m/s\)"),
-        ("0,3,0\n3,-3,0\n", "walks West, from x = 3 to -3 m"),
-    ],
-    ids=["jump", "sideways", "no time", "west"],
-)
-@pytest.mark.filterwarnings("error")
-def test_walks_that_are_none_are_refused_by_row(tmp_path, rows, message):
-    path = tmp_path / "phi.csv"
-    path.write_text("t,x,y\n" + rows)
-    with pytest.raises(UsageError, match=f"phi.csv.*{message}"):
-        read_csv_trajectory(path, load_scenario("crossing"))
-
-
 def test_what_of_a_folder_is_not_used_is_said(tmp_path, caplog):
     for number, name in enumerate("abcdefg"):
         (tmp_path / f"{name}.csv").write_text(f"t,x,y\n0,-3,0\n3,3,0.{number}\n")
     (tmp_path / "notes.txt").touch()
-    taken = load_safe_trajectories(tmp_path, load_scenario("crossing"), 5)
+    taken = load_safe_trajectories(tmp_path, SCENARIO, 5)
     (line,) = caplog.messages
     unused = sorted({*"abcdefg"} - {phi.name for phi in taken})
     assert f"5 of 8 used; not requested: {', '.join(unused)}; no csv file: notes.txt" in line
     caplog.clear()
     (tmp_path / "notes.txt").unlink()
-    load_safe_trajectories(tmp_path, load_scenario("crossing"), 7)
+    load_safe_trajectories(tmp_path, SCENARIO, 7)
     assert caplog.messages == []
 
 
@@ -124,4 +111,4 @@ def test_one_way_in_two_files_of_a_folder_is_no_two_ways(tmp_path):
     for name in "ab":
         (tmp_path / f"{name}.csv").write_text("t,x,y\n0,-3,0\n3,3,0\n")
     with pytest.raises(UsageError, match=r"b\.csv: is the trajectory of .*a\.csv once more"):
-        load_safe_trajectories(tmp_path, load_scenario("crossing"), 2)
+        load_safe_trajectories(tmp_path, SCENARIO, 2)

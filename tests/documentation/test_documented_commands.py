@@ -45,18 +45,11 @@ _RECORDER = """#!/bin/sh
 
 @dataclass(frozen=True)
 class Block:
-    """A code block of a document.
-
-    Attributes:
-        document: path from the top of the repository.
-        line: its first line, from 1.
-        language: what stands behind the fence; empty where nothing does; None for an indented block.
-        text: its lines.
-    """
+    """A code block of a document."""
 
     document: str
     line: int
-    language: str | None
+    language: str | None  # what stands behind the fence; empty where nothing does; None for an indented block
     text: str
 
     @property
@@ -70,21 +63,13 @@ class Block:
 
 @dataclass(frozen=True)
 class Call:
-    """How a program is called by a block.
-
-    Attributes:
-        block: where.
-        program: as a path from the top of the checkout, or as a name.
-        words: its arguments.
-        python_path: PYTHONPATH of this call.
-        folder: where it is run, from the top of the checkout.
-    """
+    """How a program is called by a block."""
 
     block: Block
-    program: str
+    program: str  # a path from the top of the checkout, or a name
     words: tuple[str, ...]
     python_path: str
-    folder: str
+    folder: str  # where it is run, from the top of the checkout
 
     def __str__(self) -> str:
         return " ".join((self.program, *self.words))
@@ -111,11 +96,7 @@ def blocks(document: Path) -> Iterator[Block]:
 
 
 def make_checkout(folder: Path) -> Path:
-    """Make a folder with every program that the documentation may call, each of which does nothing.
-
-    Returns:
-        The folder of those that are found by their names.
-    """
+    """Return a folder of programs that do nothing: those that the documentation calls by their names."""
     found = folder / "programs"
     scripts = [path for path in (ROOT / "scripts").iterdir() if os.access(path, os.X_OK)]
     programs = [*(found / name for name in FOREIGN), *(folder / "scripts" / path.name for path in scripts)]
@@ -131,11 +112,7 @@ def make_checkout(folder: Path) -> Path:
 
 
 def calls(shell: Sequence[Block], folder: Path) -> dict[Block, list[Call]]:
-    """Return how each block calls which programs.
-
-    Raises:
-        AssertionError: a block is no good shell, or calls a program that nobody knows.
-    """
+    """Return how each block calls which programs."""
     found = make_checkout(folder)
     log = folder / "calls"
     environment = {"PATH": f"{found}:/usr/bin:/bin", "CALLS": str(log), "HOME": str(folder)}

@@ -14,8 +14,6 @@ PATIENCE = 120.0  # s for the scheduler to write its file
 
 @dataclass(frozen=True)
 class LocalCluster:
-    """Attributes: address of the scheduler; its process; those of the workers, which have no nanny."""
-
     address: str
     scheduler: subprocess.Popen[bytes]
     workers: list[subprocess.Popen[bytes]]
@@ -36,15 +34,7 @@ def start_worker(address: str, folder: Path) -> subprocess.Popen[bytes]:
 
 @contextmanager
 def local_cluster(workers: int, folder: Path) -> Iterator[LocalCluster]:
-    """Start a scheduler and workers; end them afterwards, whatever has become of them.
-
-    Args:
-        workers: number of processes, each with one thread.
-        folder: for their logs and files.
-
-    Raises:
-        RuntimeError: the scheduler does not start.
-    """
+    """Start a scheduler and workers; end them afterwards, whatever has become of them."""
     file = folder / "scheduler.json"
     options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
     with folder.joinpath("scheduler.log").open("wb") as log:

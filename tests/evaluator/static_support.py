@@ -14,19 +14,13 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 
 @dataclass(frozen=True)
 class StaticRun:
-    """What came of one cell of a regulator's grid.
+    """What came of one cell of a regulator's grid."""
 
-    Attributes:
-        place: where on its front the unbraked car meets the target, % of its width.
-        log: what happened.
-    """
-
-    place: float
+    place: float  # where on its front the unbraked car meets the target, % of its width
     log: EpisodeLog
 
     @property
     def touched(self) -> bool:
-        """Whether the car touched the target."""
         return self.log.outcome == Outcome.COLLISION
 
     @property
@@ -45,16 +39,7 @@ class StaticRun:
 
 
 def static_tests(scenario: Scenario, car: CarUnderTest, controller: Controller | None = None) -> list[StaticRun]:
-    """Run the static test of each impact place of a scenario's protocol.
-
-    Args:
-        scenario: as of `static_episodes`.
-        car: the car under test.
-        controller: the same, if it is there already; made by its name by default.
-
-    Raises:
-        UsageError: the scenario has no protocol.
-    """
+    """Run the static test of each impact place of a scenario's protocol."""
     episodes = static_episodes(scenario, car)
     places = scenario.protocol.impact_places
     return [StaticRun(place, run_episode(one, controller)) for place, one in zip(places, episodes, strict=True)]

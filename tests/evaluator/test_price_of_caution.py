@@ -11,7 +11,7 @@ from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, warnings, why_no_price
+from skd_evaluator.assessment.stages.price import CLEAR, KINDS, price_of_caution, why_no_price
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.price_of_caution import (
     HORIZON,
@@ -201,10 +201,3 @@ def test_who_does_not_get_past_people_never_ranks_first(capsys: pytest.CaptureFi
     print_table(comparison_table(rows, "margin"))
     shown = capsys.readouterr().out
     assert shown.index("stuck, often stuck") < shown.index("bad ") < shown.index("good ")
-
-
-def test_aborted_harmless_runs_are_said() -> None:
-    runs = tuple(HarmlessRun("waits", 6.0, 6.0, 5.5, braked=False) for _ in range(6))
-    assert warnings("mine", PriceOfCaution(runs)) == ()
-    (line,) = warnings("mine", PriceOfCaution(runs, aborted=4))
-    assert line.startswith("4 of 10 harmless runs were aborted")

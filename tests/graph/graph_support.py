@@ -244,11 +244,7 @@ def whole_graph(
     record_to: Path | None = None,
     domain: int | None = None,
 ) -> Iterator[tuple[Any, str]]:
-    """Run a graph that this process evaluates, by default with the basic car; nothing is left of it.
-
-    Yields:
-        What runs episodes in it, and the token of its processes.
-    """
+    """Run a graph that this process evaluates, by default with the basic car; nothing is left of it."""
     options = options or GraphOptions()
     controller = controller or ("external" if options.controller_command else "basic")
     from skd_evaluator.ros.graph import free_domain

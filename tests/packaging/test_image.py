@@ -85,12 +85,7 @@ def context() -> list[str]:
 
 @dataclass(frozen=True)
 class Image:
-    """What the steps made.
-
-    Attributes:
-        folder: takes the place of the image's working folder.
-        variables: of its processes, before any file is sourced.
-    """
+    """What the steps made."""
 
     folder: Path
     variables: dict[str, str]
@@ -160,11 +155,7 @@ def image_folder(empty: Path) -> Iterator[Path]:
 
 
 def build_image(folder: Path) -> Image:
-    """Take the steps of the Dockerfile in a folder of `image_folder`.
-
-    Raises:
-        AssertionError: a step fails; with what it printed.
-    """
+    """Take the steps of the Dockerfile in a folder of `image_folder`."""
     image = Image(folder, _variables(folder))
     (folder / "tmp").mkdir()
     user = ""

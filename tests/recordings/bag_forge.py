@@ -161,18 +161,7 @@ def write_mcap(
     encode: Callable[[Sent], bytes] = Sent.bytes,
     metadata: dict[str, str] | None = None,
 ) -> Path:
-    """Write messages in the order given, and return the path.
-
-    Args:
-        path: of the file.
-        sent: the messages.
-        compression: of chunks.
-        chunk_size: bytes.
-        chunks: whether there are any.
-        checksums: of chunks, data section and summary.
-        encode: makes a message's bytes.
-        metadata: of the channels of results.
-    """
+    """Write messages in the order given, and return the path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as stream:
         writer = Writer(
