@@ -69,7 +69,6 @@ class Opened:
 
 
 def open_page(browser: Any, file: Path, width: int = 1000, scheme: str = "light") -> Opened:
-    """Open a report and wait until it is drawn."""
     page = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme).new_page()
     opened = Opened(page)
     page.on("console", lambda message: opened.said.append(message.text))

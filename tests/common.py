@@ -47,7 +47,6 @@ def new_domain() -> int:
 
 
 def wait_until(condition: Callable[[], Any], what: str = "what has to be", timeout: float = PATIENCE) -> Any:
-    """Wait until something holds, and return it."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         found = condition()

@@ -22,7 +22,6 @@ def compile_planners(controller: str, dynamics: str) -> None:
 
 
 def compile_objective(objective: Objective, model: str) -> None:
-    """Compile the planners of an objective and a car."""
     InProcessRunner(1).start(warm_up_episodes(objective=objective, car_model=model))
 
 

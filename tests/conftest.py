@@ -52,7 +52,6 @@ def shortened() -> None:
 
 @pytest.fixture
 def pictures_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw pictures."""
     import vl_convert
     from shortened import CHART, DRAW, Figure
 

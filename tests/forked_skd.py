@@ -43,7 +43,6 @@ class ForkedSkd:
     """A running command, as `subprocess.Popen` would be that captures its output as text."""
 
     def __init__(self, arguments: Sequence[str], *, cwd: Path, environment: Mapping[str, str]) -> None:
-        """Start it."""
         assert [environment.get(name) for name in _FIXED] == [os.environ.get(name) for name in _FIXED]
         self._words = ["skd", *arguments]
         request = json.dumps({"arguments": [*arguments], "cwd": str(cwd), "environment": {**environment}}).encode()
@@ -56,7 +55,6 @@ class ForkedSkd:
         self.pid = int(self._answers.readline())
 
     def has_ended(self) -> bool:
-        """Return whether it has."""
         return bool(select.select([self._keeper], [], [], 0.0)[0])
 
     def finish(self, timeout: float) -> subprocess.CompletedProcess[str]:

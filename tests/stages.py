@@ -24,5 +24,4 @@ def with_margins(assessment: Assessment, workers: Any, limit: int) -> Assessment
 
 
 def with_risks(assessment: Assessment, request: RiskRequest, workers: Any, runner: Runner | None = None) -> Assessment:
-    """Return the assessment with its risk."""
     return risk.run(Context(runner or workers, workers, risk=request), assessment)

@@ -22,7 +22,6 @@ class Terminal:
     """A program with a terminal for input and output, as a user has it."""
 
     def __init__(self, words: Sequence[str], *, columns: int = 80, lines: int = 24, **environment: str) -> None:
-        """Start it."""
         variables: Mapping[str, str] = {**os.environ, "TERM": "xterm-256color", **environment}
         self.pid, self._descriptor = pty.fork()
         if self.pid == 0:
@@ -40,11 +39,9 @@ class Terminal:
         return _SEQUENCE.sub("", self._output.decode("utf-8", errors="replace"))
 
     def count(self, sequence: str) -> int:
-        """How often a sequence was sent."""
         return self._output.count(sequence.encode())
 
     def press(self, keys: str) -> None:
-        """Press keys."""
         os.write(self._descriptor, keys.encode())
 
     def wait_for(self, pattern: str) -> re.Match[str]:
@@ -58,7 +55,6 @@ class Terminal:
         return found
 
     def finish(self) -> int:
-        """Wait for its end, and return its exit code."""
         latest = time.monotonic() + PATIENCE
         while self._take():
             if time.monotonic() > latest:
@@ -68,7 +64,6 @@ class Terminal:
         return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
 
     def kill(self) -> None:
-        """End it at once."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGKILL)
 

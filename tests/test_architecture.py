@@ -51,7 +51,6 @@ def test_imports_run_one_way(package):
 
 
 def dotted(module: Path) -> str:
-    """Return the name by which a module is imported."""
     parts = module.relative_to(ROOT / "ros_ws" / "src").with_suffix("").parts[1:]
     return ".".join(parts).removesuffix(".__init__")
 

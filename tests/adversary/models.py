@@ -29,7 +29,6 @@ def gaussian_likelihood(parameters: TigerParameters, state: FloatArray, action: 
 
 
 def tiger(*, gaussian: bool = False, **parameters: float) -> Pomdp:
-    """Return Tiger with these rewards."""
     model = replace(benchmark.tiger(), parameters=TigerParameters(**parameters))
     if not gaussian:
         return model
@@ -78,7 +77,6 @@ def ring_reinvigorate(parameters, state, seen, redrawn, rng):
 
 
 def ring(**parameters: Any) -> Pomdp:
-    """Return the ring walker."""
     return Pomdp(
         name="test_ring",
         state_dim=1,

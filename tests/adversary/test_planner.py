@@ -50,7 +50,6 @@ def _planner(model: Pomdp, p_right: float, options: PlannerOptions, seed: int) -
 
 
 def _shares(model: Pomdp, p_right: float, options: PlannerOptions, runs: int) -> Array:
-    """How often each action is chosen at a belief."""
     actions = []
     for seed in range(runs):
         planner, belief = _planner(model, p_right, options, seed)

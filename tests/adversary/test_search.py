@@ -33,8 +33,6 @@ class Arm:
 
 @dataclass
 class Node:
-    """A history."""
-
     arms: list[Arm]
     visits: int = 0
 

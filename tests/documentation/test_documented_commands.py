@@ -45,8 +45,6 @@ _RECORDER = """#!/bin/sh
 
 @dataclass(frozen=True)
 class Block:
-    """A code block of a document."""
-
     document: str
     line: int
     language: str | None  # what stands behind the fence; empty where nothing does; None for an indented block
@@ -63,8 +61,6 @@ class Block:
 
 @dataclass(frozen=True)
 class Call:
-    """How a program is called by a block."""
-
     block: Block
     program: str  # a path from the top of the checkout, or a name
     words: tuple[str, ...]
@@ -87,7 +83,6 @@ def documents() -> list[Path]:
 
 
 def blocks(document: Path) -> Iterator[Block]:
-    """Yield the code blocks of a document."""
     name = str(document.relative_to(ROOT))
     for token in MarkdownIt().parse(document.read_text(encoding="utf-8")):
         if token.type in ("fence", "code_block"):
@@ -112,7 +107,6 @@ def make_checkout(folder: Path) -> Path:
 
 
 def calls(shell: Sequence[Block], folder: Path) -> dict[Block, list[Call]]:
-    """Return how each block calls which programs."""
     found = make_checkout(folder)
     log = folder / "calls"
     environment = {"PATH": f"{found}:/usr/bin:/bin", "CALLS": str(log), "HOME": str(folder)}

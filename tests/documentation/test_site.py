@@ -21,7 +21,6 @@ PROGRAMS = {"cli", "nodes", "ros", "ros_environment"}  # what is run, and not im
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site, built as `scripts/docs` builds it."""
     folder = tmp_path_factory.mktemp("documentation") / "site"
     done = subprocess.run(
         [ROOT / "scripts" / "docs", "build", "--strict", "--site-dir", folder],

@@ -44,7 +44,6 @@ def skd(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.Com
 
 
 def started(*arguments: str | Path, cwd: Path, **environment: str) -> ForkedSkd:
-    """Start `skd` in such a process."""
     variables = {**os.environ, "PYTHONPATH": str(cwd), **environment}
     return ForkedSkd([str(word) for word in arguments], cwd=cwd, environment=variables)
 

@@ -153,7 +153,6 @@ def boxes_apart(
 
 
 def directions(headings: np.ndarray) -> np.ndarray:
-    """Return where headings point, n × 2."""
     return np.column_stack([np.cos(headings), np.sin(headings)])
 
 

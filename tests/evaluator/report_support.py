@@ -11,7 +11,6 @@ from skd_evaluator.assessment.files.result_folder import MANIFEST
 
 
 def make_sweep(folder: Path) -> Path:
-    """Run a sweep of two cars over two φ."""
     counts = ["--safe-count", "2", "--kamikaze-count", "14", "--collision-runs", "12", "--behaviour", "walkers"]
     assert run_skd("sweep", *SMALL, *counts, "--multipliers", "0.5", "1.0", "--out", str(folder)) == 0
     return folder

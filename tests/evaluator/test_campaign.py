@@ -28,7 +28,6 @@ SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3,
 
 
 def rated(plan: Plan, safe: Sequence[Trajectory], runner: Runner) -> Assessment:
-    """Rate by the plan's objective alone."""
     return rate(plan, [plan.objective], safe, runner)
 
 

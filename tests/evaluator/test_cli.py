@@ -134,7 +134,6 @@ def test_sweep(here):
 
 
 def _living() -> dict[int, int]:
-    """Return the parent of each living process."""
     parents = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:

@@ -48,7 +48,6 @@ class Steps:
             draws.random(2)
 
     def along(self, time: float) -> np.ndarray:
-        """Return φ at a time in ticks."""
         time = min(time, len(self.phi) - 1)
         before = min(int(time), max(0, len(self.phi) - 2))
         after = min(before + 1, len(self.phi) - 1)

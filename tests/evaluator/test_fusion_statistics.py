@@ -120,7 +120,6 @@ def test_rates_hold_and_stay_rates():
 
 
 def hits_of(*groups: tuple[int, int]) -> list[np.ndarray]:
-    """Hits and trials of each φ."""
     return [np.array([1.0] * hits + [0.0] * (trials - hits)) for hits, trials in groups]
 
 

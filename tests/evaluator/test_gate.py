@@ -112,7 +112,6 @@ def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(cars, tm
 
 
 def doubted(folder: Path, to: Path) -> Path:
-    """A copy of a result that is not credible."""
     shutil.copytree(folder, to)
     content = json.loads((to / "assessment.json").read_text(encoding="utf-8"))
     content["warnings"] = [*content["warnings"], f"{NOT_CREDIBLE}it counts"]

@@ -26,7 +26,6 @@ def written(figures: dict[str, Any], folder: Path, **changes: Any) -> Path:
 
 
 def origin(figures: dict[str, Any], number: int) -> dict[str, Any]:
-    """Where a result of some day is from."""
     git = {"revision": f"{number:040x}", "modified": number % 2 == 1}
     date = f"2026-{1 + number // 28:02d}-{1 + number % 28:02d}T12:00:00Z"
     return {**figures["provenance"], "date": date, "controller_git": git}

@@ -95,7 +95,6 @@ def found(margins: SearchedMargins) -> float:
 
 
 def episodes(multiplier: float, count: int = 3) -> list[EpisodeSpec]:
-    """Return trials of one φ."""
     first = kamikaze_episode(POINTS, 40, multiplier)
     return [replace(first, episode_id=episode_id(EpisodeGroup.KAMIKAZE, 0, number)) for number in range(count)]
 

@@ -108,7 +108,6 @@ def test_sweep(tmp_path, rows):
 
 @pytest.fixture
 def figures(monkeypatch) -> list[Figure]:
-    """Every figure that is saved."""
     saved: list[Figure] = []
     save = Figure.savefig
     monkeypatch.setattr(

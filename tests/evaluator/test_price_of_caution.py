@@ -33,15 +33,11 @@ CARS = Path(__file__).parents[2] / "examples" / "price_of_caution" / "cars.py"
 
 
 class Recorded(InProcessRunner):
-    """A runner that keeps its logs."""
-
     def __init__(self) -> None:
-        """Keep them."""
         super().__init__(1)
         self.logs: list[EpisodeLog] = []
 
     def run(self, episodes: list[EpisodeSpec]) -> list[EpisodeLog]:  # type: ignore[override]
-        """Run and keep."""
         found = list(super().run(episodes))
         self.logs += found
         return found

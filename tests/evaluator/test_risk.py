@@ -64,7 +64,6 @@ def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario,
 
 
 def simulated(here: CrossingPlan, car: KnownCar | Gauss, scale: float, effort: SubsetEffort) -> Subsets:
-    """What subset simulation finds."""
     levels = levels_of(here, car, scale, effort)
     numbers = range(effort.replicates)
     return gathered([replicate(here, car, scale, effort, levels, number) for number in numbers], effort)

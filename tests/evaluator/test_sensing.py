@@ -23,8 +23,6 @@ EPISODE = EpisodeSpec(CROSSING, Mode.REPLAY, 5, 77, controller="somebody's", saf
 
 
 class Blind:
-    """Two methods, as ever."""
-
     def reset(self, scenario, rng):
         pass
 

@@ -34,7 +34,6 @@ COUNTS = ("--safe-count", "1", "--kamikaze-count", "4", "--collision-runs", "2",
 
 
 def installed(folder: Path, name: str = "my_scenarios", entries: str = ENTRIES, source: str = SOURCE) -> Path:
-    """Install a package into a folder, as pip does."""
     (folder / name).mkdir(parents=True)
     (folder / name / "__init__.py").write_text(source, encoding="utf-8")
     about = folder / f"{name}-1.0.dist-info"

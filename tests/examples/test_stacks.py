@@ -16,7 +16,6 @@ HEARD = {"/ego/odometry", "/ego/scan"}  # what the examples take of SKD
 
 
 def nodes(launch: Path) -> dict[str, ET.Element]:
-    """Nodes of a launch file by their names."""
     return {node.get("name") or node.get("exec", ""): node for node in ET.parse(launch).getroot().iter("node")}
 
 

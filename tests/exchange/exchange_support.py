@@ -22,7 +22,6 @@ TICKS = 9
 
 @cache
 def scenarios() -> tuple[str, ...]:
-    """Names of all scenarios that come with SKD."""
     return tuple(SCENARIOS.own)
 
 
@@ -47,7 +46,6 @@ def course(name: str, contact: bool = True, whole_ticks: bool = False) -> Episod
 
 
 def recorded(name: str, *, with_car: bool = True, whole_ticks: bool = False, stem: str = "kamikaze") -> ExportedEpisode:
-    """An episode of a scenario, ready to go out."""
     scenario = load_scenario(name)
     how = course(name, whole_ticks=whole_ticks)
     actors = actors_of(scenario, how, with_car=True)

@@ -18,7 +18,6 @@ from skd_sim.scenario.scenario import load_scenario
 
 
 def messages(path: Path) -> Iterator[Any]:
-    """Messages of a trace, by ASAM's own reader."""
     from osi_utilities.tracefile.readers.multi import MultiTraceReader
 
     reader = MultiTraceReader(skip_incompatible_messages=False)

@@ -102,7 +102,6 @@ def hexadecimal(value: Any) -> Any:
 
 
 def figures(folder: Path) -> dict[str, Any]:
-    """Return the figures of a result's folder."""
     found = {}
     for name, place in FIGURES.items():
         value = json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
@@ -172,7 +171,6 @@ def test_figures_are_what_they_were(tmp_path: Path, name: str, way: str) -> None
 
 
 def write() -> None:
-    """Write both files anew, by one worker."""
     goldens, searched = {}, {}
     for name in CASES:
         with tempfile.TemporaryDirectory() as folder:

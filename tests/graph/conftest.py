@@ -59,19 +59,16 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Campaign]
 
 @pytest.fixture(scope="session")
 def campaign(campaigns: dict[float, Campaign]) -> Campaign:
-    """The campaign at C = 1."""
     return campaigns[1.0]
 
 
 @pytest.fixture(scope="session")
 def context() -> ForkServerContext:
-    """From which single nodes are started."""
     return fork_server()
 
 
 @pytest.fixture
 def domain() -> Iterator[int]:
-    """A domain, with this process in it."""
     number = new_domain()
     with in_domain(number, uuid.uuid4().hex):
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -103,23 +100,19 @@ def safe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def plan(safe: Path) -> Plan:
-    """A small campaign over that trajectory."""
     return Plan(load_scenario("crossing"), safe=str(safe), safe_count=1, simulations=SIMULATIONS)
 
 
 @pytest.fixture(scope="session")
 def episode(plan: Plan) -> EpisodeSpec:
-    """Its first kamikaze episode."""
     return single_episode(plan, Mode.KAMIKAZE, 0, safe_trajectories(plan, InProcessRunner(1))[0])
 
 
 @pytest.fixture(scope="session")
 def replay(plan: Plan) -> EpisodeSpec:
-    """Its first run along the safe trajectory."""
     return single_episode(plan, Mode.REPLAY, 0, safe_trajectories(plan, InProcessRunner(1))[0])
 
 
 @pytest.fixture(scope="session")
 def expected(episode: EpisodeSpec) -> EpisodeLog:
-    """What becomes of the kamikaze episode."""
     return run_episode(episode)

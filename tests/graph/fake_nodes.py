@@ -110,7 +110,6 @@ def run(make: Callable[[], Node], args: Sequence[str]) -> int:
 
 
 def main(args: Sequence[str]) -> int:
-    """Run the node that the first argument names."""
     nodes = {
         "speed": SpeedController,
         "scan": ScanBraker,

@@ -44,7 +44,6 @@ def _see_who_imported() -> None:
 
 
 def fork_server() -> ForkServerContext:
-    """The context from which nodes are forked."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])
     os.environ[_PRELOAD] = "1"
@@ -63,7 +62,6 @@ def fork_server() -> ForkServerContext:
 def start_node(
     context: ForkServerContext, module: str, log: Path, domain: int, *words: str, **parameters: object
 ) -> ForkServerProcess:
-    """Start a node in a process of its own."""
     arguments = [*words, "--ros-args"] if parameters else list(words)
     for name, value in parameters.items():
         arguments += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]

@@ -39,7 +39,6 @@ class Campaign:
 
     @property
     def bags(self) -> Path:
-        """One bag per episode."""
         return self.graph / "bags"
 
 
@@ -56,7 +55,6 @@ def pids_with(token: str) -> dict[int, str]:
 
 
 def of_node(token: str, name: str) -> int:
-    """Process id of a node of a graph."""
     return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
 
 
@@ -80,8 +78,6 @@ _OF_A_BUSY_MACHINE = re.compile(
 
 @dataclass
 class Finished:
-    """A command that has ended."""
-
     code: int
     out: str
     err: str
@@ -139,7 +135,6 @@ class Program:
 
 
 def skd_command(*arguments: object) -> list[str]:
-    """The command line `skd`, as a command."""
     return [sys.executable, "-m", "skd_evaluator", *map(str, arguments)]
 
 
@@ -153,11 +148,9 @@ class Skd:
         self._process = ForkedSkd(words, cwd=Path.cwd(), environment=variables)
 
     def send_signal(self, number: int) -> None:
-        """Send a signal to it alone."""
         os.kill(self._process.pid, number)
 
     def has_ended(self) -> bool:
-        """Return whether it has."""
         return self._process.has_ended()
 
     def finish(self, timeout: float = PATIENCE) -> Finished:
@@ -170,7 +163,6 @@ class Skd:
 
 
 def skd(*arguments: object, environment: Mapping[str, str | None] | None = None, timeout: float = PATIENCE) -> Finished:
-    """Run `skd` in such a process, to its end."""
     return Skd(*arguments, environment=environment).finish(timeout)
 
 
@@ -211,7 +203,6 @@ def assert_same_results(one: Path, other: Path) -> None:
 
 
 def assert_same_log(one: EpisodeLog, other: EpisodeLog) -> None:
-    """Two logs are the same to the last bit."""
     assert one.outcome == other.outcome, (one.reason, other.reason)
     for name in ("adversary", "car"):
         left, right = getattr(one, name), getattr(other, name)

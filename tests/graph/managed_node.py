@@ -69,7 +69,6 @@ class LatchingBrake(LifecycleNode):
 
 
 def main(args: list[str]) -> int:
-    """Run the node until it is told to end."""
     rclpy.init(args=args)
     node: Any = LatchingBrake()
     node.create_timer(0.2, lambda: None)  # rclpy now and then misses SIGTERM in a wait without end

@@ -207,7 +207,6 @@ def run(
 
 
 def spin(executor: SingleThreadedExecutor, done: threading.Event) -> None:
-    """Answer messages until it is over."""
     while not done.is_set():
         executor.spin_once(timeout_sec=0.05)
 

@@ -36,7 +36,6 @@ Content = dict[str, set[tuple[int, str]]]
 
 @contextlib.contextmanager
 def somebody(domain: int) -> Iterator[Any]:
-    """Give a node that is not of the graph."""
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=domain)
     node = rclpy.create_node("somebody", context=context)

@@ -17,7 +17,6 @@ from terminals import Terminal
 
 
 def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE) -> Finished:
-    """Run a small campaign through the graph."""
     return skd(
         *("assess", "--graph", "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
         *("--simulations", 100, "--margin-limit", 0, "--behaviour", "none"),

@@ -62,7 +62,6 @@ def test_a_managed_node_forgets(tmp_path: Path, replay: EpisodeSpec) -> None:
 
 @pytest.fixture
 def brake(domain: int) -> Iterator[Any]:
-    """Makes the managed node, in this process."""
     executor = SingleThreadedExecutor()
     ended = threading.Event()
     made: list[Any] = []

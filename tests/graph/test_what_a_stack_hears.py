@@ -99,7 +99,6 @@ class Ears:
 
 @pytest.fixture
 def ears(domain: int) -> Iterator[Any]:
-    """Makes `Ears`, once."""
     made: list[Ears] = []
 
     def make(**settings: Any) -> Ears:

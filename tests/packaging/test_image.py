@@ -85,18 +85,14 @@ def context() -> list[str]:
 
 @dataclass(frozen=True)
 class Image:
-    """What the steps made."""
-
     folder: Path
     variables: dict[str, str]
 
     @property
     def workspace(self) -> Path:
-        """The workspace in which colcon has built."""
         return self.folder / "ros_ws"
 
     def executable(self, package: str, name: str) -> Path:
-        """Return an installed executable."""
         return self.workspace / "install" / package / "lib" / package / name
 
     def start(self, *command: object, **variables: str) -> subprocess.Popen[str]:
@@ -113,7 +109,6 @@ class Image:
         )
 
     def run(self, *command: object, **variables: str) -> subprocess.CompletedProcess[str]:
-        """Run a container's command to its end."""
         with self.start(*command, **variables) as process:
             try:
                 output, _ = process.communicate(timeout=PATIENCE)
@@ -241,7 +236,6 @@ needs_compiler = pytest.mark.skipif(
 
 @pytest.fixture(scope="session")
 def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Image]:
-    """The image, built once."""
     ensure_ros()
     with image_folder(tmp_path_factory.mktemp("image")) as folder:
         yield build_image(folder)

@@ -42,12 +42,10 @@ class Sent:
     time: int
 
     def bytes(self) -> bytes:
-        """Return it as it goes over the wire."""
         return bytes(store.serialize_cdr(self.content, TYPES[base(self.topic)]))
 
 
 def base(topic: str) -> str:
-    """Return a topic of ours without its namespace."""
     return next(name for name in TYPES if topic.endswith(name))
 
 

@@ -64,8 +64,6 @@ def refused(replay: Callable[..., Replayed]) -> Callable[..., str]:
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Callable[..., Path]:
-    """Write messages of episodes as one recording."""
-
     def write(episodes: Sequence[Sequence[Sent]], name: str = "x", **options: Any) -> Path:
         return write_mcap(tmp_path / f"{name}.mcap", [message for one in episodes for message in one], **options)
 

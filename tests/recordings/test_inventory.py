@@ -22,7 +22,6 @@ Replay = Callable[..., Any]
 
 @pytest.fixture
 def bags(sent: list[list[Sent]], tmp_path: Path) -> Path:
-    """A folder with a bag for each episode."""
     for number, one in enumerate(sent):
         bag = tmp_path / "bags" / f"{number:02}"
         write_mcap(bag / f"{number:02}.mcap", one)
@@ -145,7 +144,6 @@ def edited(folder: Path, edit: Callable[[Arrays], object]) -> Path:
 
 
 def put(name: str, value: float) -> Callable[[Arrays], object]:
-    """Put a value into the last row of a column."""
     return lambda arrays: arrays[name].__setitem__((-1,) * arrays[name].ndim, value)
 
 

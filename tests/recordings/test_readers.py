@@ -51,7 +51,6 @@ READERS = {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory, logs: list[EpisodeLog]) -> Path:
-    """A folder with a right file of each kind."""
     folder = tmp_path_factory.mktemp("files")
     assert run_skd("assess", *SMALL, "--safe-count", "5", "--collision-runs", "5", "--out", folder / "result") == 0
     assert run_skd("probe", "--episodes", "40", "--quiet", "--out", folder / "probe") == 0

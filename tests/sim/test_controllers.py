@@ -153,8 +153,6 @@ CAR, ADVERSARY = CarState(0.0, -20.0, 1.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0
 
 
 class Answers:
-    """Answers what it is made with, or raises it."""
-
     def __init__(self, answer: Any) -> None:
         self.answer = answer
 

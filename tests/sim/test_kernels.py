@@ -100,7 +100,6 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def compiled(once: Path, tmp_path: Path) -> Path:
-    """A copy of both for one test."""
     return shutil.copytree(once, tmp_path / "mine")
 
 

@@ -65,7 +65,6 @@ class Bench:
         return self.lockstep.advance(frame(tick, outcome, contact), self.now)
 
     def go_to(self, tick: int) -> None:
-        """Answer until a tick is there."""
         for before in range(tick):
             assert self.lockstep.drive(stamp(before), 1.0) is None
             assert isinstance(self.lockstep.walk(stamp(before), (2.0, 0.0)), ControlStep)

@@ -53,8 +53,6 @@ def run(phi: Trajectory, car: str = "basic", number: int = 0, scenario: Scenario
 
 
 class Brakes:
-    """Brakes from the first tick on."""
-
     def __init__(self, deceleration: float) -> None:
         self.deceleration = deceleration
 

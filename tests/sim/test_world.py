@@ -23,7 +23,6 @@ STEP = CROSSING.time_step
 
 
 def _scenario(*, minimum_impact_speed: float = 0.0, start_gap_range: float = 0.0) -> Scenario:
-    """The crossing without noise."""
     car = replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0, start_gap_range=start_gap_range)
     collision = replace(CROSSING.collision, minimum_impact_speed=minimum_impact_speed)
     return replace(CROSSING, car=car, collision=collision)

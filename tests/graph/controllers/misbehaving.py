@@ -35,16 +35,12 @@ class _Once(BasicController):
 
 
 class Killed(_Once):
-    """Dies without a word."""
-
     def misbehave(self) -> float:
         os.kill(os.getpid(), signal.SIGKILL)
         return 0.0
 
 
 class Raises(_Once):
-    """Has a bug."""
-
     def misbehave(self) -> float:
         raise RuntimeError("sensor fusion has diverged")
 
