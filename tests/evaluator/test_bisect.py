@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_support import one_line, skd
+from cli_support import SMALL, one_line, skd
 from skd_evaluator import load_result
+from skd_evaluator.cli.main import main
 from skd_evaluator.margin.paired_test import ERROR, SCALE, e_values, level_of
 
 CAR = '''
@@ -149,3 +150,17 @@ def test_two_revisions_are_rated_with_the_same_options_and_compared(repository, 
     trials = {one["hits"]: one["folder"] for one in content["only_one_hits"]}
     assert "'team.cars:Brake'" in (out / trials["Brake-worse"] / "test_hit.py").read_text()
     one_line(skd("compare", str(out), "--rev", "mended", "worse", *OPTIONS, cwd=repository), 2, "leave out the folders")
+
+
+def test_a_night_in_which_nothing_changed_takes_the_result_over(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("skd_evaluator.provenance.git_revision", lambda *_: None)  # SKD's own files may be modified
+    words = ["assess", "--controller", "cal", *SMALL, "--adversary-model", "generic", "-q"]
+    assert main([*words, "--out", "first"]) == 0
+    assert main([*words, "--out", "second", "--warm-start", "first"]) == 0
+    assert main([*words, "--out", "third", "--warm-start", "first", "--collision-runs", "4"]) == 0
+    first, second, third = (load_result(one).figures for one in ("first", "second", "third"))
+    assert second["margin_how"] == "as in first: the same car and options, and each hit came again"
+    differ = {key for key in first if first[key] != second[key]}
+    assert differ == {"provenance", "margin_how", "seconds"}
+    assert third["margin_how"] == "from the hits of first on"

@@ -15,7 +15,8 @@ import yaml
 from common import PATIENCE
 from packaging_support import ROOT
 from skd_evaluator.assessment.files.assessment_json import check_figure
-from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.cli.parser import make_parser, parse
+from skd_evaluator.cli.revisions import assess_request
 
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
 STEPS = {step.get("name", step.get("uses")): step for step in ACTION["runs"]["steps"]}
@@ -101,3 +102,22 @@ def test_conditions_are_ones_that_there_are(place):
     for figure, _ in (*parsed.fail_below, *parsed.fail_above):
         check_figure(figure)
     assert parsed.fail_if_worse_than is not None
+
+
+def test_the_nightly_job_bisects_with_options_that_there_are():
+    steps = yaml.safe_load((FOLDER / "github-nightly.yml").read_text(encoding="utf-8"))["jobs"]["night"]["steps"]
+    (rating,) = [step["with"] for step in steps if "skd@" in step.get("uses", "")]
+    assert set(rating) <= set(ACTION["inputs"])
+    text = " ".join(step.get("run", "") for step in steps)
+    last = dict(re.findall(r'"(gate|options)=([^"]+)"', text))
+    assert (
+        make_parser().parse_args(["assess", *last["gate"].split(), *last["options"].split()]).warm_start == "skd-last"
+    )
+    (line,) = [step["run"] for step in steps if " bisect " in step.get("run", "")]
+    words = re.sub(r"\$\{\{[^}]+\}\}", "0123abc", line).split()
+    parsed = parse(make_parser(), words[1:])
+    assert (parsed.good, parsed.bad, assess_request(parsed.words).controller) == (
+        "0123abc",
+        "HEAD",
+        rating["controller"],
+    )

@@ -40,6 +40,7 @@ def print_result(
     gate: Gate,
     problem: str | None = None,
     said: Collection[str] = (),
+    result: Mapping[str, Any] | None = None,
 ) -> int:
     """Print an assessment and where it is, check the gate's conditions, and return the exit code.
 
@@ -50,8 +51,9 @@ def print_result(
         gate: the conditions that it has to meet.
         problem: why the result is not where it was requested; None if it is.
         said: warnings of the assessment that were printed before.
+        result: content of assessment.json, where the assessment is of its episodes alone, which are not all.
     """
-    result = assessment.as_dict()
+    result = result or assessment.as_dict()
     if arguments.json:
         print_json(result)
     else:
@@ -62,7 +64,7 @@ def print_result(
     warnings = warnings_of(assessment, said=said)
     shown = arguments.details or arguments.json  # planned figures
     warn(arguments.command, [line for line in warnings if shown or not line.startswith(PLANNED)])
-    failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted)]
+    failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted, result)]
     checks = gate.checks(result, None if problem else out.path, failures)
     if len(checks) > 1 and checks[0].error and not failures:
         failures.append(f"gate: nothing can be said of the car: {checks[0].text}")

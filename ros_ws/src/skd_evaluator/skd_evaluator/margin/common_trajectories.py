@@ -124,6 +124,16 @@ def earlier_version(result: StoredResult, trials: Sequence[EpisodeSpec], runner:
     return Earlier(logs, mean(margins) if len(margins) == len(trials) else None)
 
 
+def check_repeats(result: StoredResult, progress: Progress) -> None:
+    """See to it that the car of a result hits again on each of its hits.
+
+    Raises:
+        UsageError: the car cannot be made here.
+        AssessmentError: it does not.
+    """
+    _margins(result, read_episodes(result.folder).margin_hits, (), progress)
+
+
 def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress: Progress) -> tuple[FloatArray, ...]:
     """Return the margins of each φ, m, of a car that also meets some other trajectories.
 

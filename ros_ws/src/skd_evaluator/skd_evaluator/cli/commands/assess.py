@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import shutil
 import threading
 import time
 from collections.abc import Mapping
@@ -34,9 +35,12 @@ from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser, make_parser, pars
 from skd_evaluator.errors import AssessmentError
 
 if TYPE_CHECKING:  # help reads this module, and they take time
+    from skd_sim.scenario.scenario import Scenario
+
     from skd_evaluator.assessment.assessment import Assessment
     from skd_evaluator.assessment.context import Runner
     from skd_evaluator.assessment.files.result_folder import ResultFolder
+    from skd_evaluator.assessment.files.results import StoredResult
     from skd_evaluator.assessment.plan import Plan
 
 _UNFINISHED = ".unfinished.sqlite"
@@ -97,7 +101,10 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         raise UsageError(f"--out {arguments.out}: was interrupted; --resume goes on with it, --overwrite begins anew")
     out = result_folder(arguments)
     command = arguments.controller_command or ""
-    assessment = Assessment(plan, provenance=provenance(arguments.command_line, plan.car, controller_command=command))
+    origin = provenance(arguments.command_line, plan.car, controller_command=command)
+    assessment = Assessment(plan, provenance=origin)
+    if (earlier := request["earlier"]) is not None and _is_of_today(earlier, arguments, origin, plan.scenario):
+        return _confirmed(earlier, arguments, origin, out, gate, begin)
     kept = _KeptEpisodes(arguments, assessment, out.path)
     done = True
     try:
@@ -113,6 +120,65 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     finally:
         kept.close(done=done)
     return print_result(assessment, out, arguments, gate, problem)
+
+
+def _is_of_today(
+    earlier: StoredResult, arguments: argparse.Namespace, now: Mapping[str, Any], scenario: Scenario
+) -> bool:
+    """Return whether an earlier result is of the same options, scenario, files of the car and SKD.
+
+    Where an option names a file, or SKD's own files were modified, that is not known.
+    """
+    from skd_evaluator.assessment.options import GENERATED, NO_BEHAVIOUR, WALKERS
+    from skd_evaluator.version import version
+
+    known = arguments.safe in GENERATED and arguments.behaviour in (WALKERS, NO_BEHAVIOUR) and not arguments.car_model
+    before = earlier.figures.get("provenance") or {}
+    git = now.get("git")
+    same = ("controller_files", "git", "python", "platform")
+    known &= "margin" in earlier.groups and not arguments.graph
+    if not known or (git and git["modified"]) or any(before.get(key) != now[key] for key in same):
+        return False
+    try:
+        then = vars(parse(make_parser(["assess"]), shlex.split(before["command"])[1:]))
+    except (SystemExit, UsageError):
+        return False
+    names = {*arguments.parameters, "until_width", "max_aborted"} - {"warm_start", "controller"}
+    options = all(then[name] == value for name, value in vars(arguments).items() if name in names)
+    return options and scenario.as_dict() == earlier.scenario and earlier.figures["version"] == version()
+
+
+def _confirmed(
+    earlier: StoredResult,
+    arguments: argparse.Namespace,
+    now: Mapping[str, Any],
+    out: ResultFolder,
+    gate: Gate,
+    begin: float,
+) -> int:
+    """Write an earlier result again, of which every hit of the margin comes again, and return the exit code.
+
+    Raises:
+        AssessmentError: a hit does not.
+    """
+    from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.assessment.files.results import read_checked
+    from skd_evaluator.cli.results import print_result
+    from skd_evaluator.margin.common_trajectories import check_repeats
+    from skd_evaluator.report.progress import progress_bar
+
+    with progress_bar(quiet=arguments.quiet) as progress:
+        check_repeats(earlier, progress)
+    how = f"as in {earlier.folder}: the same car and options, and each hit came again"
+    stored = replace(read_checked(earlier.folder)[2], seconds=time.perf_counter() - begin)
+    figures = {**earlier.figures, "provenance": now, "margin_how": how, "seconds": stored.seconds}
+
+    def write(folder: Path) -> None:
+        shutil.copytree(earlier.folder, folder, dirs_exist_ok=True)
+        write_json(folder / "assessment.json", figures)
+
+    problem = out.save(write)
+    return print_result(stored, out, arguments, gate, problem, result=figures)
 
 
 def unfinished(out: Path) -> Path:
