@@ -55,14 +55,14 @@ class CampaignOptions(EpisodeOptions):
     safe_count: int = option(20, "how many safe trajectories (φ) there are", low=1, high=65_535, **_CAMPAIGN)
     kamikaze_count: int = option(
         25,
-        "how many kamikazes are planned for each safe trajectory",
+        "how many trials there are on each safe trajectory, of the margin and of kamikazes",
         low=1,
         high=1_000_000,
         **{**_CAMPAIGN, "commands": (*_CAMPAIGN["commands"], "ncap")},
     )
     collision_runs: int = option(
         500,
-        "how many runs follow a safe trajectory unchanged: the nominal collision rate",
+        "how many runs follow a safe trajectory unchanged, for the nominal collision rate",
         low=1,
         high=10_000_000,
         **_CAMPAIGN,

@@ -233,16 +233,16 @@ def _read(content: Any, where: str, arguments: argparse.Namespace) -> dict[str, 
     return found
 
 
-def add_campaign_arguments(parser: argparse.ArgumentParser, command: str, **changes: Any) -> None:
-    """Add what `assess` and `sweep` share; `changes` as `add_options` takes them."""
-    group = parser.add_argument_group("campaign")
-    hidden = ("simulations", "objective", "behaviour", "collision_runs", "kamikaze_count")
-    add_options(group, command, group.title or "", hidden=hidden, **changes)
+def add_campaign_arguments(parser: argparse.ArgumentParser, command: str, **changes: Any) -> argparse._ArgumentGroup:
+    """Add what `assess` and `sweep` share, and return the output's group; `changes` as `add_options` takes them."""
+    group = parser.add_argument_group("how much is driven")
+    hidden = ("simulations", "objective", "behaviour")
+    add_options(group, command, "campaign", hidden=hidden, **changes)
     add_max_aborted_argument(group)
     add_options(group, command, table=AssessmentOptions, hidden=hidden)
     add_runner_arguments(group)
     add_parameters(parser)
-    add_output_arguments(parser)
+    return add_output_arguments(parser)
 
 
 def add_workers_argument(group: argparse._ActionsContainer) -> None:
@@ -310,13 +310,14 @@ def add_output_arguments(
     parser: argparse.ArgumentParser,
     metavar: str = "DIR",
     text: str = "folder for the results (default: skd_results/<command>-<time>)",
-) -> None:
-    """Add --out, --overwrite, --json, -v and -q."""
+) -> argparse._ArgumentGroup:
+    """Add --out, --overwrite, --json, -v and -q, and return their group."""
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
     add_flag(group, "--overwrite", "replace what --out names, if it exists")
     add_flag(group, "--json", "print JSON, and nothing else, on standard output")
     add_loudness(group)
+    return group
 
 
 def add_loudness(group: argparse._ActionsContainer) -> None:
@@ -324,7 +325,7 @@ def add_loudness(group: argparse._ActionsContainer) -> None:
     loudness = group.add_mutually_exclusive_group()
     verbose = "show where in SKD an error comes from"
     loudness.add_argument("-v", "--verbose", action="store_true", help=rare(verbose))
-    loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
+    loudness.add_argument("-q", "--quiet", action="store_true", help=rare("print no tables and no progress"))
 
 
 def graph_options(arguments: argparse.Namespace) -> GraphOptions:

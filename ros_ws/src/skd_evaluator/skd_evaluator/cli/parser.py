@@ -40,8 +40,10 @@ class Parser(argparse.ArgumentParser):
     def format_help(self) -> str:
         """Return the help, with a short usage, and how many options it leaves out."""
         self.usage = " ".join([self.prog, *filter(None, map(_usage, self._actions)), "[options]"])
-        hidden = sum(one.help is argparse.SUPPRESS for one in self._actions)
-        self.epilog = f"--help-all shows {hidden} more options." if hidden else None
+        hidden = sum(
+            one.help is argparse.SUPPRESS and not isinstance(one, argparse._HelpAction) for one in self._actions
+        )
+        self.epilog = f"--help-all shows {hidden} more option{'s' * (hidden > 1)}." if hidden else None
         return super().format_help()
 
     def _print_message(self, message: str, file: Any = None) -> None:
@@ -123,7 +125,9 @@ def make_parser(words: Sequence[str] = ()) -> Parser:
             except UsageError as error:  # it cannot be loaded
                 commands.add_parser(name, help=str(error)).set_defaults(problem=str(error))
     for one in commands.choices.values():
-        one.add_argument("--help-all", action="help", help="show all options, rare ones too, and exit")
+        one.add_argument("--help-all", action="help", help=rare("show all options, rare ones too, and exit"))
+        if not Parser.everything:
+            one._actions[0].help = argparse.SUPPRESS  # -h, which was just given
     return parser
 
 

@@ -56,13 +56,13 @@ def add(parser: Parser) -> None:
     parser.set_defaults(group="rate")
     add_car_arguments(parser, "assess")
     add_graph_arguments(parser, "assess", optional=True)
-    add_campaign_arguments(parser, "assess")
+    output = add_campaign_arguments(parser, "assess")
     add_gate_arguments(parser)
     text = "go on with the interrupted assessment in DIR, or in --out; its options need not be repeated"
-    parser.add_argument("--resume", nargs="?", const="", metavar="DIR", help=text)
+    output.add_argument("--resume", nargs="?", const="", metavar="DIR", help=text)
     parser.set_defaults(read_parameters=_given_elsewhere)
-    add_flag(parser, "--details", DETAILS)
-    add_flag(parser, "--no-pictures", rare("draw no pictures, which saves about a second"))
+    add_flag(output, "--details", DETAILS)
+    add_flag(output, "--no-pictures", rare("draw no pictures, which saves about a second"))
     text = "add --safe-count trajectories at a time, at most 10 times, until the planned deviation's interval is W wide"
     add_value(parser, "--until-width", rare(text), type=positive_number, metavar="W")
 

@@ -48,12 +48,12 @@ def add_import(parser: Parser) -> None:
     """
     parser.set_defaults(group="exchange")
     add_paths(parser, "paths", "PATH", "a file, a bag's folder, or a folder of files")
-    who = parser.add_argument_group("who")
+    who = parser.add_argument_group("which road user")
     text = "whose trajectory: name, id, topic, /tf:FRAME or TOPIC:ID (default: the adversary, else the only one)"
     add_value(who, "--road-user", text, metavar="NAME")
     add_value(who, "--kind", "the kind of road user in inD and rounD", default="pedestrian", metavar="KIND")
     add_value(who, "--car", "which object is the car, for --frame car; named as --road-user", metavar="NAME")
-    where = parser.add_argument_group("where")
+    where = parser.add_argument_group("frames and gaps")
     text = (
         "origin (m) and direction of the scenario's frame map in the file. With car it follows from how the car drives "
         "(default: 0,0,0)"
@@ -67,7 +67,7 @@ def add_import(parser: Parser) -> None:
     add_value(where, "--scenario", text, metavar="NAME")
     text = "leave out tracks with a longer gap, in transforms as well"
     add_value(where, "--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=_LONGEST_GAP, metavar="S")
-    which = parser.add_argument_group("what of a file")
+    which = parser.add_argument_group("which part of a file")
     text = "only say what the files hold: who, in which form, rate, gaps, times, frame"
     add_flag(which, "--list", text)
     add_value(which, "--topics", "with --list: only these topics of bags", nargs="+", default=(), metavar="TOPIC")
