@@ -91,12 +91,16 @@ def test_the_trajectory_deviates_from_its_safe_one_as_is_said(folder, only_after
     assert 0.0 < only_after["cars_part_at"] < only_after["impact_time"]
 
 
-def test_the_written_test_fails_for_the_car_that_hits(folder, only_after, tmp_path):
+def test_the_written_test_fails_for_the_car_that_hits(folder, only_after):
     file = folder / "compared" / only_after["folder"] / "test_hit.py"
     words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", file]
-    done = subprocess.run(words, capture_output=True, check=False, cwd=tmp_path, text=True)
+    done = subprocess.run(words, capture_output=True, check=False, cwd=folder, text=True)
     assert done.returncode == 1
     assert "AssertionError" in done.stdout
+    assert str(folder) not in file.read_text()
+    scenario = (file.parent / "scenario.yaml").read_text()
+    assert scenario.startswith("name: ")
+    assert "{" not in scenario
 
 
 def test_nothing_tells_a_car_from_another_way_to_write_it(folder):

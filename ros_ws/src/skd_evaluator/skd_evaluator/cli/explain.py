@@ -10,16 +10,19 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from skd_sim.inputs.yaml_file import to_yaml
 from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
 
 from skd_evaluator import palette
-from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.margin.distinguishing_trial import DistinguishingTrial
 from skd_evaluator.report.episode_pictures import ShownEpisode, save_episode, save_picture
 from skd_evaluator.report.repeat import SCENARIO_FILE, program
 
 TRAJECTORY_FILE = "trajectory.csv"
-_TEST = '''"""A road user {deviation:.2f} m from a safe trajectory: the car must not hit it."""
+_TEST = '''"""A road user {deviation:.2f} m from a safe trajectory: the car must not hit it.
+
+Run pytest where skd was run: a car's file is named from there.
+"""
 
 from pathlib import Path
 
@@ -76,12 +79,18 @@ class Explanation:
         found = {"folder": self.folder, **self.trial.as_dict()} if self.trial else {"folder": None}
         return {"hits": self.hits, "misses": self.misses, **found}
 
+    def _car(self, trial: DistinguishingTrial) -> str:
+        """Return what the car that hits is called; a file below this folder by its path from here."""
+        name = self.controller or trial.hits.episode.controller
+        here = f"{Path.cwd()}/"
+        return f"./{name.removeprefix(here)}" if name.startswith(here) else name
+
     def command(self, out: Path) -> str:
         """Return the command that rates the car that hits on this trial alone; empty where there is none."""
         if self.trial is None:
             return ""
         episode, folder = self.trial.hits.episode, out / self.folder
-        words = [program(), "assess", "--controller", self.controller or episode.controller]
+        words = [program(), "assess", "--controller", self._car(self.trial)]
         words += ["--multiplier", f"{episode.multiplier!r}"] if episode.car.has_multiplier else []
         words += ["--scenario", str(folder / SCENARIO_FILE), "--safe", str(folder / TRAJECTORY_FILE)]
         words += ["--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--margin-limit", "0"]
@@ -96,13 +105,11 @@ class Explanation:
         folder.mkdir()
         step, scenario = trial.scenario.time_step, trial.scenario.as_dict()
         scenario.pop("control_period", None)  # it comes with the controller
-        write_json(folder / SCENARIO_FILE, scenario)  # JSON is YAML
+        (folder / SCENARIO_FILE).write_text(to_yaml(scenario), encoding="utf-8")
         places = enumerate(episode.safe_trajectory.positions.tolist())
         rows = [f"{tick * step!r},{x!r},{y!r}" for tick, (x, y) in places]
         (folder / TRAJECTORY_FILE).write_text("\n".join(["t,x,y", *rows, ""]), encoding="utf-8")
-        car = repr(self.controller or episode.controller) + (
-            f", multiplier={episode.multiplier!r}" if episode.car.has_multiplier else ""
-        )
+        car = repr(self._car(trial)) + (f", multiplier={episode.multiplier!r}" if episode.car.has_multiplier else "")
         text = _TEST.format(deviation=trial.hit.distance, seed=episode.seed, car=car)
         (folder / "test_hit.py").write_text(text, encoding="utf-8")
         for log, name, file in ((trial.hits, self.hits, "hits.png"), (trial.misses, self.misses, "misses.png")):

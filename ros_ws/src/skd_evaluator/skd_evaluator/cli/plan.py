@@ -55,7 +55,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     source = _source(arguments, results)
     between, within = source.components.between, source.components.within
     if between is None or within is None:
-        raise UsageError(f"{source.text}: to know how much φ differ takes at least 2 φ with 2 trials each")
+        raise UsageError(f"{source.text}, which takes at least 2 φ with 2 trials each")
     counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
     if arguments.width is not None:
         prior = None if arguments.figure == "contact_rate" else DISTANCES
@@ -79,18 +79,24 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 
     def show() -> None:
         unit = "" if arguments.figure == "contact_rate" else " m"
+        what = "the difference in " if arguments.difference is not None else ""
+        print(f"{source.text}.")
         print(
-            f"{arguments.figure.replace('_', ' ')}: standard deviation {between**0.5:.3f}{unit} between φ, "
-            f"{within**0.5:.3f}{unit} within; {source.text}"
+            f"Standard deviation of {what}{arguments.figure.replace('_', ' ')}: {between**0.5:.3f}{unit} between safe "
+            f"trajectories φ, {within**0.5:.3f}{unit} between trials on one."
         )
-        print_table(_table(sizes, cheapest))
+        goal = (
+            f"an interval {arguments.width:g}{unit} wide"
+            if arguments.width is not None
+            else (f"a difference of {arguments.difference:g}{unit}")
+        )
+        print_table(_table(f"Each row suffices for {goal}", sizes, cheapest))
         print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
 
     warnings = [line for one in results for line in one.remarks]
     if source.phi is not None and source.phi < _FEW:
         warnings.append(
-            f"a variance between {source.phi} φ is itself uncertain: take more than it says, or --until-width, which "
-            "does not rely on it"
+            f"planned from {source.phi} φ, which is uncertain: take more, or --until-width, which does not rely on it"
         )
     return finish(arguments, content, show, warnings)
 
@@ -108,8 +114,8 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
             raise UsageError(f"--figure {arguments.figure} needs a result of skd assess to plan with")
         of_one, of_a_difference = _STATED[arguments.figure]
         if arguments.width is not None or arguments.unpaired:
-            return _Variances(of_one, False, "assumed, as of the basic car at C = 1; an earlier result would be better")
-        text = "of the difference on the same φ, assumed, as of C = 1 and 1.05; two earlier results would be better"
+            return _Variances(of_one, False, "Planned as for the basic car with C = 1; an earlier result plans better")
+        text = "Planned as for the basic cars with C = 1 and 1.05; two earlier results plan better"
         return _Variances(of_a_difference, True, text)
     for one in results:
         if arguments.figure not in one.groups:
@@ -121,10 +127,9 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
     if len(results) == 1:
         if arguments.difference is not None and not arguments.unpaired:
             raise UsageError(
-                "how much a difference varies on the same φ takes two results to tell: give two, or add --unpaired for "
-                "cars on different φ"
+                "--difference on the same φ is planned from two results: give two, or add --unpaired for different φ"
             )
-        return _Variances(variance_components(groups), False, f"from {first.folder}", len(groups))
+        return _Variances(variance_components(groups), False, f"Planned from {first.folder}", len(groups))
     if arguments.width is not None or arguments.unpaired:
         raise UsageError("two results are for --difference of cars on the same φ; give one")
     return _paired_source(first, results[1], arguments.figure)
@@ -143,14 +148,14 @@ def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _V
         raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
     pairs = zip(first.groups[figure], second.groups[figure], strict=True)
     differences = [np.subtract(other[: len(one)], one[: len(other)]) for one, other in pairs]
-    text = f"of the difference on the same φ, from {first.folder} and {second.folder}"
+    text = f"Planned from {first.folder} and {second.folder}"
     return _Variances(variance_components(differences), True, text, len(differences))
 
 
-def _table(sizes: Sequence[Size], cheapest: Size) -> Table:
+def _table(title: str, sizes: Sequence[Size], cheapest: Size) -> Table:
     rows = []
     for size in sizes:
         power = "—" if size.power is None else f"{100 * size.power:.0f} %"
         cells = (str(size.trials), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
         rows.append([f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells])
-    return narrow_table("Numbers that suffice", ("ψ per φ", "φ", "episodes", "width", "power"), rows)
+    return narrow_table(title, ("trials\non each φ", "φ", "episodes", "width of\ninterval", "power"), rows)

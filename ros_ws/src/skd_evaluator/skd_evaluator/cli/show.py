@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.errors import UsageError
+from skd_sim.inputs.yaml_file import to_yaml
 from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.files.assessment_json import understood
@@ -63,8 +64,8 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     def write(folder: Path) -> None:
         for number, name in zip(numbers, names, strict=True):
             save_episode(folder / name, shown_episode(subject, number, kept))
-        for name, inside in needed.items():  # JSON is YAML
-            write_json(folder / name, inside)
+        for name, inside in needed.items():
+            (folder / name).write_text(to_yaml(inside), encoding="utf-8")
         write_json(folder / "show.json", content)
 
     def show() -> None:

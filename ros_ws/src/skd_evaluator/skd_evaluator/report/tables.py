@@ -31,9 +31,9 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         rows: rows of the table, as comparison.json has them.
         ranked_by: figure by which cars are in order, the most vulnerable one first; None: in the order given.
     """
-    order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
+    order = f"By {_RANKED[ranked_by]}, the safest car last" if ranked_by else "In the order given"
     if ranked_by and any(map(does_not_get_past, rows)):
-        order += ", but for those often stuck"
+        order = f"Cars that are often stuck first; then by {_RANKED[ranked_by]}, the safest last"
     if ranked_by:  # who does not get past people is never the first
         rows = sorted(rows, key=lambda one: (not does_not_get_past(one), float(one[ranked_by])))
     heads = ["car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "time\nlost (s)"]
@@ -50,7 +50,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         ]
         for row in rows
     ]
-    return narrow_table(f"Side by side{order}", heads, cells)
+    return narrow_table(order, heads, cells)
 
 
 _RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deviation")}
@@ -71,7 +71,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
         verdict = f"[bold]{_short(entry)}[/]{_disagreement(entry['differences'])}"
         cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
     return narrow_table(
-        f"Compared with {escape(first)}; all intervals hold at once with 95 %",
+        f"Compared with {escape(first)}; all intervals together hold with 95 %",
         heads,
         cells,
     )

@@ -10,6 +10,7 @@ from importlib import resources
 from shlex import join
 from typing import Any
 
+from skd_sim.inputs.yaml_file import to_yaml
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.world.episode import Mode
 
@@ -153,8 +154,8 @@ def _view(subject: Subject) -> dict[str, Any]:
         "warnings": figures.warnings_of(subject),
         "made": figures.made_rows(subject),
         "scenario": _json_text(subject.figures["scenario"]),
-        "scenario_link": "" if scenario_name(subject.figures) else _link(subject.figures["scenario"]),
-        "car_model_link": _link(model) if model else "",
+        "scenario_link": "" if scenario_name(subject.figures) else _link(to_yaml(subject.figures["scenario"])),
+        "car_model_link": _link(_json_text(model)) if model else "",
     }
 
 
@@ -162,9 +163,9 @@ def _json_text(data: Mapping[str, Any]) -> str:
     return json.dumps(data, indent=1, ensure_ascii=False)
 
 
-def _link(data: Mapping[str, Any]) -> str:
-    """Return data as a link that saves a file; JSON is YAML."""
-    return "data:application/yaml;base64," + base64.b64encode(_json_text(data).encode()).decode("ascii")
+def _link(text: str) -> str:
+    """Return YAML as a link that saves a file."""
+    return "data:application/yaml;base64," + base64.b64encode(text.encode()).decode("ascii")
 
 
 def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
