@@ -167,7 +167,7 @@ COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
     "assess": f"{COUNTS} --workers 1",
     "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
-    "ncap": "--workers 1 --margin-limit 0",
+    "protocol": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
 }
 QUICKER = {"drive": "-p rate_factor:=100"}  # of a command that writes no result

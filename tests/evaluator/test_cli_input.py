@@ -91,7 +91,7 @@ def test_bad_number(capsys, option, value):
         (["compare", "x", "--width=0"], "argument --width: must be a finite number > 0, got '0'"),
         (["assess", "--max-aborted=101"], "must be a finite number ≤ 100"),
         (["fuse", "a", "b", "--frame=1,0"], "argument --frame: must be X,Y,DEGREES"),
-        (["ncap", "--speeds=20:10:10"], "argument --speeds: must be FROM:TO:STEP"),
+        (["protocol", "ncap", "--speeds=20:10:10"], "argument --speeds: must be FROM:TO:STEP"),
         (["assess", "--behaviour", "none", "-p", "risk_runs:=50"], "risk_runs 50: --behaviour none asks for no risk"),
         (["sweep", "--behaviour", "none", "-p", "risk_subset:=true"], "risk_subset: --behaviour none asks for no risk"),
         (["assess", "-p", "maximum_distance:=-1"], "-p maximum_distance: maximum_distance must be a number from 0"),
@@ -130,7 +130,7 @@ READ = [
     ["assess", "--behaviour", "{}/file"],
     ["assess", "--message-folder", "{}/messages"],
     ["assess", "--controller", "cars_in_it:Fine"],
-    ["ncap", "--scenarios", "cpna,{}/mine.yaml"],
+    ["protocol", "ncap", "--scenarios", "cpna,{}/mine.yaml"],
 ]
 
 

@@ -19,7 +19,7 @@ COMMANDS = {
     "exchange": ["export", "import"],
     "fusion": ["fuse"],
     "log": ["log"],
-    "ncap": ["ncap"],
+    "protocols": ["protocol"],
 }
 
 

@@ -8,12 +8,20 @@ from dataclasses import replace
 import pytest
 from cli_support import names, one_line, skd
 from skd_evaluator.assessment.files.verification import Verified
-from skd_evaluator.extensions.ncap import evaluation
-from skd_evaluator.extensions.ncap.evaluation import requested_tests, scenario_of
-from skd_evaluator.extensions.ncap.layout import margin_text
-from skd_evaluator.extensions.ncap.matrices import known_scenarios, scenarios_of
-from skd_evaluator.extensions.ncap.page import views_of
-from skd_evaluator.extensions.ncap.result import RESULT, Grid, Ncap, NcapCell, as_data, read_ncap, with_regulator
+from skd_evaluator.extensions.protocols import evaluation
+from skd_evaluator.extensions.protocols.evaluation import requested_tests, scenario_of
+from skd_evaluator.extensions.protocols.layout import margin_text
+from skd_evaluator.extensions.protocols.matrices import known_scenarios, scenarios_of
+from skd_evaluator.extensions.protocols.page import views_of
+from skd_evaluator.extensions.protocols.result import (
+    RESULT,
+    Grid,
+    GridCell,
+    ProtocolResult,
+    as_data,
+    read_protocol,
+    with_regulator,
+)
 from skd_evaluator.library import assess
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
@@ -22,6 +30,7 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
 from static_support import static_tests
 
+NCAP = ("protocol", "ncap")
 KMH = 1.0 / 3.6
 CARS = """
 import os
@@ -73,15 +82,24 @@ def cars(here):
     return here
 
 
-def cells_of(folder) -> list[NcapCell]:
-    return [cell for grid in read_ncap(folder).grids for cell in grid.cells]
+def cells_of(folder) -> list[GridCell]:
+    return [cell for grid in read_protocol(folder).grids for cell in grid.cells]
 
 
 def test_a_late_braker_is_red_where_an_early_one_is_green_at_the_speed_of_the_textbook(cars):
     """v² − 2·a·d: the front is 0.25 m before the target's way 4.65 s after the start, less what that takes."""
     for name in ("Early", "Late"):
         done = skd(
-            "ncap", "--controller", f"ncap_cars:{name}", "--scenarios", "cpna-50", *NONE, "--out", name, cwd=cars
+            "protocol",
+            "ncap",
+            "--controller",
+            f"ncap_cars:{name}",
+            "--scenarios",
+            "cpna-50",
+            *NONE,
+            "--out",
+            name,
+            cwd=cars,
         )
         assert done.returncode == 0, done.stderr
         assert "no margin: --margin-limit 0" in done.stdout
@@ -103,7 +121,7 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
 
     A pedestrian has few actions in each tick, so that a little more is needed.
     """
-    done = skd("ncap", "--controller", "ncap_cars:JustPasses", "--scenarios", "still.yaml", "--speeds", "30:30:1",
+    done = skd(*NCAP, "--controller", "ncap_cars:JustPasses", "--scenarios", "still.yaml", "--speeds", "30:30:1",
                *FEW, "--out", "out", cwd=cars)  # fmt: skip
     assert done.returncode == 0, done.stderr
     (cell,) = cells_of(cars / "out")
@@ -117,12 +135,12 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
     assert cell.braking_ttc == pytest.approx(4.65, abs=1e-6)  # at once, with the front that far from the target
     least = r"the least is ≤?0\.18 m, at 30 km/h, 90 %\."  # the search may need more candidates than it is given
     assert re.search(rf"1 of 1 test is green, 1 with a margin below 0\.5 m: {least}", done.stdout)
-    assert 'class="green narrow"' in (cars / "out" / "ncap.html").read_text("utf-8")
+    assert 'class="green narrow"' in (cars / "out" / "protocol.html").read_text("utf-8")
 
 
 def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
     """Margins to the last bit, for both try the same under the same draws."""
-    done = skd_here("ncap", "--multiplier", "0.9", "--scenarios", "cpfa-50", "--speeds", "30:30:1",
+    done = skd_here(*NCAP, "--multiplier", "0.9", "--scenarios", "cpfa-50", "--speeds", "30:30:1",
                     "--kamikaze-count", "2", "--margin-limit", "256", "--workers", "1", "--out", "out")  # fmt: skip
     assert done.returncode == 0, done.stderr
     (cell,) = cells_of(here / "out")
@@ -137,22 +155,22 @@ def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
 
 def test_numbers_do_not_depend_on_the_number_of_workers(skd_here, here):
     for workers in ("1", "2"):
-        done = skd_here("ncap", "--scenarios", "cpna-75,cptans-50", "--kamikaze-count", "2", "--margin-limit", "128",
+        done = skd_here(*NCAP, "--scenarios", "cpna-75,cptans-50", "--kamikaze-count", "2", "--margin-limit", "128",
                         "--workers", workers, "--out", workers)  # fmt: skip
         assert done.returncode == 0, done.stderr
-    assert names(here / "1") == ["manifest.sha256", "ncap.html", "ncap.json"]
-    assert (here / "1" / "ncap.html").read_bytes() == (here / "2" / "ncap.html").read_bytes()
+    assert names(here / "1") == ["manifest.sha256", "protocol.html", "protocol.json"]
+    assert (here / "1" / "protocol.html").read_bytes() == (here / "2" / "protocol.html").read_bytes()
     one, two = (json.loads((here / name / RESULT).read_text("utf-8")) for name in ("1", "2"))
     assert one.pop("provenance")["command"] != two.pop("provenance")["command"]
     assert one == two
-    first, second = read_ncap(here / "1").grids
+    first, second = read_protocol(here / "1").grids
     assert [cell.speed for cell in first.cells] == [10.0 * step for step in range(1, 7)]
     assert [cell.speed for cell in second.cells] == [10.0]
     assert {len(cell.margins) for cell in (*first.cells, *second.cells)} == {2}
 
 
 def test_cells_that_cannot_be_judged_say_why(cars):
-    done = skd("ncap", "--controller", "ncap_cars:SpeedsUp", "--scenarios", "cpna-50,cpna-0,cpla-50",
+    done = skd(*NCAP, "--controller", "ncap_cars:SpeedsUp", "--scenarios", "cpna-50,cpna-0,cpla-50",
                "--speeds", "20:35:15", *NONE, "--out", "out", cwd=cars)  # fmt: skip
     assert done.returncode == 0, done.stderr
     found = cells_of(cars / "out")
@@ -161,14 +179,14 @@ def test_cells_that_cannot_be_judged_say_why(cars):
     assert "CPNA day has no test at 35 km/h" in done.stdout
     assert "CPNA day has no impact place of 0 %" in done.stdout
     assert all(cell.touched is not None and cell.why for cell in found)
-    done = skd("ncap", "--controller", "ncap_cars:Stands", "--scenarios", "cpnco-50", "--speeds", "20:20:10", *NONE,
+    done = skd(*NCAP, "--controller", "ncap_cars:Stands", "--scenarios", "cpnco-50", "--speeds", "20:20:10", *NONE,
                "--out", "stands", cwd=cars)  # fmt: skip
     assert [cell.colour for cell in cells_of(cars / "stands")] == [""]
     assert "the car slows down to 0 km/h undisturbed, which is no test at 20 km/h" in done.stdout
     (cars / "fast.yaml").write_text("name: fast\ndescription: fast\nextends: cpna-50\nprotocol:\n  speed: 2.0\n")
-    done = skd("ncap", "--scenarios", "fast.yaml", *NONE, "--out", "fast", cwd=cars)
+    done = skd(*NCAP, "--scenarios", "fast.yaml", *NONE, "--out", "fast", cwd=cars)
     assert "the test's target has 5 km/h, this one 7.2 km/h" in done.stdout
-    done = skd("ncap", "--controller", "cal", "--scenarios", "cptans-50", *NONE, "--out", "cal", cwd=cars)
+    done = skd(*NCAP, "--controller", "cal", "--scenarios", "cptans-50", *NONE, "--out", "cal", cwd=cars)
     assert done.returncode == 1
     assert "controller cal has learned hazards on straight roads" in done.stdout
     assert "no test could be evaluated" in done.stderr
@@ -188,21 +206,21 @@ def test_cells_that_cannot_be_judged_say_why(cars):
     ],
 )
 def test_what_cannot_be_asked_is_said_in_one_line(skd_here, here, words, said):
-    one_line(skd_here("ncap", *words, "--out", "out"), 2, said)
+    one_line(skd_here(*NCAP, *words, "--out", "out"), 2, said)
     assert not (here / "out").exists()
 
 
 def test_a_car_that_does_not_repeat_itself_is_not_credible(cars):
     words = ("--scenarios", "cpna-50,cpfa-50", "--speeds", "30:60:10", *NONE, "--out")
-    done = skd("ncap", "--controller", "ncap_cars:Keeps", *words, "keeps", cwd=cars)
+    done = skd(*NCAP, "--controller", "ncap_cars:Keeps", *words, "keeps", cwd=cars)
     assert done.returncode == 1, done.stderr
-    (warning,) = read_ncap(cars / "keeps").warnings
+    (warning,) = read_protocol(cars / "keeps").warnings
     assert re.match("not credible: [5-8] of 8 episodes ended differently", warning)
-    assert f"skd ncap: warning: {warning}\n" in done.stderr
+    assert f"skd protocol: warning: {warning}\n" in done.stderr
     assert done.stdout.startswith("Not credible")
-    assert warning.partition("(")[0].strip() in (cars / "keeps" / "ncap.html").read_text()
-    done = skd("ncap", "--controller", "ncap_cars:Early", *words, "early", cwd=cars)
-    assert (done.returncode, done.stderr, read_ncap(cars / "early").warnings) == (0, "", ())
+    assert warning.partition("(")[0].strip() in (cars / "keeps" / "protocol.html").read_text()
+    done = skd(*NCAP, "--controller", "ncap_cars:Early", *words, "early", cwd=cars)
+    assert (done.returncode, done.stderr, read_protocol(cars / "early").warnings) == (0, "", ())
 
 
 def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
@@ -215,33 +233,33 @@ def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
         return judged(source, *others)
 
     monkeypatch.setattr(evaluation, "evaluated_grid", interrupted)
-    done = skd_here("ncap", "--scenarios", "cpna-50,cpfa-50,cpnco-50", *NONE, "--out", "out")
+    done = skd_here(*NCAP, "--scenarios", "cpna-50,cpfa-50,cpnco-50", *NONE, "--out", "out")
     assert (done.returncode, begun) == (130, ["cpna-50", "cpfa-50"])
     assert "cpna-50 (CPNA day)" in done.stdout
     assert "interrupted; nothing was written. What is above is of 1 of 3 scenarios" in done.stderr
     assert not (here / "out").exists()
 
 
-CELL = NcapCell(
+CELL = GridCell(
     speed=30.0, target=5.0, place=50.0, range="standard", criterion="relative impact speed", touched=True,
     impact_speed=9.5, value=9.5, colour="brown", margin=0.5, margins=(0.25, 0.75),
 )  # fmt: skip
 GREEN = replace(CELL, touched=False, impact_speed=0.0, value=0.0, colour="green")
 
 
-def of(*cells: NcapCell) -> Ncap:
-    return Ncap(skd="0", car="a car", seed=0, trials=2, margin_limit=9, grids=(Grid("cpna", "x", cells),))
+def of(*cells: GridCell) -> ProtocolResult:
+    return ProtocolResult(skd="0", car="a car", seed=0, trials=2, margin_limit=9, grids=(Grid("cpna", "x", cells),))
 
 
 def store(folder, data: object) -> None:
     (folder / RESULT).write_text(json.dumps(data), encoding="utf-8")
 
 
-@pytest.mark.parametrize("data", [{**as_data(of(CELL)), "ncap": 2}, {}, [], {**as_data(of(CELL)), "more": 1}])
+@pytest.mark.parametrize("data", [{**as_data(of(CELL)), "version": 2}, {}, [], {**as_data(of(CELL)), "more": 1}])
 def test_a_file_of_another_version_or_kind_is_refused(tmp_path, data):
     store(tmp_path, data)
     with pytest.raises(UsageError, match=RESULT):
-        read_ncap(tmp_path)
+        read_protocol(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -282,7 +300,7 @@ def test_every_test_of_the_matrices_can_be_had():
     assert scenarios_of("CPTAfs & CPTAns") == ["cptafs", "cptans"]
     for name in known_scenarios():
         matrix, cells = requested_tests(name, None)
-        assert cells == [NcapCell.of_point(point) for point in matrix.points]
+        assert cells == [GridCell.of_point(point) for point in matrix.points]
         for cell in cells[-1:]:
             scenario = scenario_of(name, cell, matrix)
             assert scenario.protocol.speed == pytest.approx((cell.target or 0.0) * KMH)

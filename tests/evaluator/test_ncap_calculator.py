@@ -5,7 +5,7 @@ import logging
 import random
 
 import pytest
-from skd_evaluator.extensions.ncap.matrices import (
+from skd_evaluator.extensions.protocols.matrices import (
     Criterion,
     MatrixPoint,
     colour_of,
@@ -13,7 +13,7 @@ from skd_evaluator.extensions.ncap.matrices import (
     matrix_of,
     scenarios_of,
 )
-from skd_evaluator.extensions.ncap.result import Grid, NcapCell, points_of
+from skd_evaluator.extensions.protocols.result import Grid, GridCell, points_of
 
 integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
 from euroncap_rating_2026.common import PredictionColor  # noqa: E402
@@ -114,7 +114,7 @@ def grids_of(test: str, coloured: dict[tuple[str, float, float, float | None], s
     for name in scenarios_of(test):
         turn = turns[name[4]] if name[1:4] in ("pta", "bta") else ""
         cells = tuple(
-            NcapCell(
+            GridCell(
                 speed=key[1],
                 target=key[2],
                 place=key[3],

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from common import assert_valid
 from skd_evaluator.assessment.stages.static_tests import place_of
-from skd_evaluator.extensions.ncap.layout import layout_of, reasons
-from skd_evaluator.extensions.ncap.page import views_of
+from skd_evaluator.extensions.protocols.layout import layout_of, reasons
+from skd_evaluator.extensions.protocols.page import views_of
 from skd_evaluator.library import assess
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 from browser import RULES, Opened, axe_source, chromium, open_page, serious_findings
-from skd_evaluator.extensions.ncap.page import render as regulators_view
-from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell
+from skd_evaluator.extensions.protocols.page import render as regulators_view
+from skd_evaluator.extensions.protocols.result import Grid, GridCell, ProtocolResult
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.world.episode import Mode
@@ -158,13 +158,13 @@ def test_it_fits_every_screen_and_paper(browser, file):
 def regulators_page(tmp_path_factory):
     """Seven impact places, green with a margin, and red."""
     places = (0.0, 10.0, 25.0, 50.0, 75.0, 90.0, 100.0)
-    green = [NcapCell(speed=60.0, place=one, colour="green", margin=0.3, margins=(0.3,), beyond=1) for one in places]
+    green = [GridCell(speed=60.0, place=one, colour="green", margin=0.3, margins=(0.3,), beyond=1) for one in places]
     red = [
-        NcapCell(speed=20.0, place=one, colour="red", impact_speed=10.0, margin=0.0, margins=(0.0,)) for one in places
+        GridCell(speed=20.0, place=one, colour="red", impact_speed=10.0, margin=0.0, margins=(0.0,)) for one in places
     ]
     grid = Grid("cpna", "A pedestrian.", (*red, *green))
-    path = tmp_path_factory.mktemp("ncap") / "ncap.html"
-    view = Ncap(skd="0", car="a car", seed=0, trials=1, margin_limit=9, grids=(grid,))
+    path = tmp_path_factory.mktemp("ncap") / "protocol.html"
+    view = ProtocolResult(skd="0", car="a car", seed=0, trials=1, margin_limit=9, grids=(grid,))
     path.write_text(regulators_view(view), encoding="utf-8")
     return path
 

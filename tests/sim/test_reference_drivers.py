@@ -9,7 +9,7 @@ import pytest
 from skd_sim.controllers.emergency_brakes import idm_acceleration
 from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import with_control_period
-from skd_sim.controllers.reference_drivers import Situation
+from skd_sim.controllers.reference_drivers import RelativeState
 from skd_sim.options.car_under_test import REFERENCE_DRIVERS
 from skd_sim.scenario.scenario import changed_scenario, load_scenario
 from skd_sim.world.state import AdversaryState, CarState, Scene
@@ -88,8 +88,10 @@ def test_drivers_rank_in_cut_ins_as_in_the_literature():
     assert max(count["fsm"], count["rss"]) < count["reg157"] < count["cc_driver"]
 
 
-def situation(gap: float, speed: float, lead: float = 0.0, **more: float) -> Situation:
-    return Situation(gap=gap, length=9.0, aside=-1.0, speed=speed, lead=lead, closing=0.0, strayed=0.0)._replace(**more)
+def situation(gap: float, speed: float, lead: float = 0.0, **more: float) -> RelativeState:
+    return RelativeState(gap=gap, length=9.0, aside=-1.0, speed=speed, lead=lead, closing=0.0, strayed=0.0)._replace(
+        **more
+    )
 
 
 def made(name: str):

@@ -103,7 +103,7 @@ def test_numbers_of_the_paper() -> None:
     ("adversary.start_x", -100.0, 100.0, "m"),
     ("others[0].way[0].time", 0.0, 600.0, "s since the start"),
     ("obstacles[1].heading", -math.pi, math.pi, "rad, of its length"),
-    ("protocol.impact_places[3]", -100.0, 200.0, "% of the car's width"),
+    ("protocol.impact_places[3]", -300.0, 300.0, "% of the car's width"),
     ("ending.missed.right_of", -500.0, 500.0, "m"),
 ])  # fmt: skip
 def test_a_number_has_a_range_and_a_unit(place: str, low: float, high: float, unit: str) -> None:

@@ -13,7 +13,7 @@ setup(
             "__init__.pyi",
             "py.typed",
             "extensions/exchange/templates/*",
-            "extensions/ncap/templates/*",
+            "extensions/protocols/templates/*",
             "report/html/templates/*",
             "metrics/behaviour/walkers.yaml",
         ]
@@ -53,17 +53,17 @@ setup(
         ],
         "skd.commands": [
             "campaign = skd_evaluator.extensions.campaign.command:add_campaign",
-            "ncap = skd_evaluator.extensions.ncap.command:add_ncap",
+            "protocol = skd_evaluator.extensions.protocols.command:add_protocol",
             "fuse = skd_evaluator.extensions.fusion.command:add_fuse",
             "export = skd_evaluator.extensions.exchange.export_command:add_export",
             "import = skd_evaluator.extensions.exchange.import_command:add_import",
             "log = skd_evaluator.extensions.log.command:add_log",
         ],
         "skd.checks": [
-            "ncap = skd_evaluator.extensions.ncap.result:with_regulator",
+            "ncap = skd_evaluator.extensions.protocols.result:with_regulator",
         ],
         "skd.report_sections": [
-            "ncap = skd_evaluator.extensions.ncap.page:section_of",
+            "ncap = skd_evaluator.extensions.protocols.page:section_of",
         ],
     },
 )

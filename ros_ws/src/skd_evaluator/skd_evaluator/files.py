@@ -16,7 +16,7 @@ from skd_sim.inputs.files import real_path
 
 MARKERS: Final = (
     "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",
-    "fusion.json", "scenarios.json", "behaviour.yaml", "ncap.json",
+    "fusion.json", "scenarios.json", "behaviour.yaml", "protocol.json",
     "export.json", "import.json", "log.json", "simulator.json",
 )  # fmt: skip
 """A folder with one of these holds results of ours."""

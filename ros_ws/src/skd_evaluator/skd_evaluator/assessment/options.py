@@ -58,7 +58,7 @@ class CampaignOptions(EpisodeOptions):
         "how many trials there are on each safe trajectory, of the margin and of kamikazes",
         low=1,
         high=1_000_000,
-        **{**_CAMPAIGN, "commands": (*_CAMPAIGN["commands"], "ncap")},
+        **{**_CAMPAIGN, "commands": (*_CAMPAIGN["commands"], "protocol")},
     )
     collision_runs: int = option(
         500,
@@ -73,7 +73,7 @@ class CampaignOptions(EpisodeOptions):
         low=0,
         high=2**63 - 1,
         metavar="N",
-        commands=("assess", "sweep", "episode", "probe", "ncap", "drive"),
+        commands=("assess", "sweep", "episode", "probe", "protocol", "drive"),
     )
 
 
@@ -88,7 +88,7 @@ class AssessmentOptions:
         low=0,
         high=1_000_000,
         metavar="N",
-        commands=("assess", "sweep", "replay", "ncap", "log"),
+        commands=("assess", "sweep", "replay", "protocol", "log"),
     )
     warm_start: str = option(
         "",

@@ -3,7 +3,7 @@
 Each brake has one formula for the distance below which it brakes fully, and one table of constants. Formulas and
 constants are those that Seiler, Song and Hedrick compare ("Development of a collision avoidance system", SAE 980853,
 1998). They are written for a car ahead in the lane. SKD's own variant for pedestrians, cyclists and cars that cut in
-takes them as ahead where `Situation.enters` says so.
+takes them as ahead where `RelativeState.enters` says so.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.controllers.reference_drivers import ReferenceDriver, Situation
+from skd_sim.controllers.reference_drivers import ReferenceDriver, RelativeState
 from skd_sim.scenario.scenario import Scenario
 
 
@@ -25,11 +25,11 @@ class DistanceBrake(ReferenceDriver):
     """Full braking, m/s²."""
     delay, jerk = 0.0, math.inf
 
-    def is_critical(self, one: Situation) -> bool:
+    def is_critical(self, one: RelativeState) -> bool:
         """Tell whether who is ahead is that near, and slower."""
         return one.enters and one.approach > 0.0 and one.gap <= self.distance(one.speed, max(0.0, one.lead))
 
-    def demand(self, one: Situation) -> float:
+    def demand(self, one: RelativeState) -> float:
         """Return full braking, m/s²."""
         return self.braking
 
@@ -130,11 +130,11 @@ class IdmDriver(ReferenceDriver):
         super().reset(scenario, rng)
         self._beside = 0.5 * scenario.road.lane_width - self._half_width
 
-    def _answer(self, speed: float, found: list[Situation]) -> float:
+    def _answer(self, speed: float, found: list[RelativeState]) -> float:
         """Return the least acceleration (m/s²) that any road user calls for."""
         gaps = [(one.gap, one.approach) for one in found if self.is_critical(one)] or [(math.inf, 0.0)]
         return min(idm_acceleration(speed, self._desired, gap, approach) for gap, approach in gaps)
 
-    def is_critical(self, one: Situation) -> bool:
+    def is_critical(self, one: RelativeState) -> bool:
         """Tell whether it is ahead in the lane."""
         return one.gap >= 0.0 and one.aside <= self._beside

@@ -1,7 +1,7 @@
 """Reference drivers of UN R157: the careful and competent driver, Reg157, RSS, and the fuzzy safety model (FSM).
 
-A driver sees each road user along the road's centre line (`Situation`), and reacts to what its law calls critical: it
-brakes after a delay, with a bounded jerk. Laws and constants are published, each beside its source. They are stepped
+A driver sees each road user along the road's centre line (`RelativeState`), and reacts to what its law calls critical:
+it brakes after a delay, with a bounded jerk. Laws and constants are published, each beside its source. They are stepped
 ten times a second, as in the public code of the JRC (github.com/ec-jrc/JRC-FSM, 2021).
 
 What SKD adds is in `ReferenceDriver`. Published runs end with one emergency; here the driver goes back to its speed
@@ -29,7 +29,7 @@ DELAY = 0.75  # s, R157: from the end of perception to the brake
 RESUME = 1.0  # m/s², with which a car goes back to its speed (JRC)
 
 
-class Situation(NamedTuple):
+class RelativeState(NamedTuple):
     """A car and a road user ahead of its centre, along the road.
 
     Attributes:
@@ -98,7 +98,7 @@ class ReferenceDriver(ABC):
         self._applied = self._answer(car.speed, self._situations(car, scene))
         return self._applied
 
-    def _answer(self, speed: float, found: list[Situation]) -> float:
+    def _answer(self, speed: float, found: list[RelativeState]) -> float:
         critical = [one for one in found if self.is_critical(one)]
         if critical:
             self._reacts = True
@@ -114,14 +114,14 @@ class ReferenceDriver(ABC):
         return min(RESUME, max(-RESUME, (self._desired - speed) / PERIOD))
 
     @abstractmethod
-    def is_critical(self, one: Situation) -> bool:
+    def is_critical(self, one: RelativeState) -> bool:
         """Tell whether the driver reacts."""
 
-    def demand(self, one: Situation) -> float:
+    def demand(self, one: RelativeState) -> float:
         """Return the deceleration (m/s²) that the driver brakes with in the end."""
         return FULL_BRAKING
 
-    def _situations(self, car: CarState, scene: Scene) -> list[Situation]:
+    def _situations(self, car: CarState, scene: Scene) -> list[RelativeState]:
         """Return those of the road users that are ahead of the car's centre."""
         here, side = road_position(self._line, car.x, car.y)
         users = (scene.adversary, *scene.others)
@@ -142,14 +142,14 @@ class ReferenceDriver(ABC):
         user: RoadUserState,
         shape: tuple[float, float, float],
         along: float,
-    ) -> Situation:
+    ) -> RelativeState:
         radius, half_length, half_width = shape
         _, _, heading = road_pose(self._line, along)
         cos, sin = abs(math.cos(user.heading - heading)), abs(math.sin(user.heading - heading))
         half_along = radius or half_length * cos + half_width * sin
         half_across = radius or half_length * sin + half_width * cos
         lead, to_left = to_body(user.vx, user.vy, heading)
-        return Situation(
+        return RelativeState(
             gap=ahead - self._front - half_along,
             length=self._length + 2.0 * half_along,
             aside=abs(left) - self._half_width - half_across,
@@ -168,7 +168,7 @@ class CarefulDriver(ReferenceDriver):
     TIME_TO_COLLISION = 2.0  # s, above which there is no danger
     release = 0.4  # m/s² of a released pedal (JRC)
 
-    def is_critical(self, one: Situation) -> bool:
+    def is_critical(self, one: RelativeState) -> bool:
         """Tell whether it is in the path or perceived to come over, and less than 2 s away."""
         comes = one.closing > 0.0 and one.strayed >= self.WANDERING + self.PERCEPTION * one.closing
         return (one.aside <= 0.0 or comes) and one.time_to_collision <= self.TIME_TO_COLLISION
@@ -181,12 +181,12 @@ class Reg157(ReferenceDriver):
     BESIDE = 0.5  # m from the car's path, where a road user has intruded (JRC)
     delay, jerk = 0.35, math.inf
 
-    def is_critical(self, one: Situation) -> bool:
+    def is_critical(self, one: RelativeState) -> bool:
         """Tell whether it has intruded, and the time to collision is down to v/(2·6 m/s²) + 0.35 s."""
         least = one.approach / (2.0 * self.BRAKING) + self.delay + PERIOD
         return one.aside <= self.BESIDE and one.time_to_collision <= least
 
-    def demand(self, one: Situation) -> float:
+    def demand(self, one: RelativeState) -> float:
         """Return 6 m/s²."""
         return self.BRAKING
 
@@ -199,7 +199,7 @@ class RssDriver(ReferenceDriver):
     ACROSS = 1.0  # m/s², acceleration and braking to the side
     FLUCTUATION = 0.3  # m, μ
 
-    def is_critical(self, one: Situation) -> bool:
+    def is_critical(self, one: RelativeState) -> bool:
         """Tell whether both distances are less than safe (definitions 1 and 6)."""
         along = self._covered(one.speed, self.ACCELERATION, self.BRAKING)
         along -= max(0.0, one.lead) ** 2 / (2.0 * self.BRAKING)
@@ -219,24 +219,24 @@ class FuzzyDriver(ReferenceDriver):
     LEAD = 7.0  # m/s², of who leads
     STANDING, MARGIN = 2.0, 2.0  # m, between two who stand, and more to be safe
 
-    def is_critical(self, one: Situation) -> bool:
+    def is_critical(self, one: RelativeState) -> bool:
         """Tell whether it is in the path, or will be, and either metric says that it is not wholly safe."""
         return one.enters and self.proactive(one) + self.critical(one) > 0.0
 
-    def demand(self, one: Situation) -> float:
+    def demand(self, one: RelativeState) -> float:
         """Return a deceleration between comfortable and hard where a collision is near, below comfortable if not."""
         critical = self.critical(one)
         if critical > 0.0:
             return self.COMFORTABLE + critical * (self.HARD - self.COMFORTABLE)
         return self.proactive(one) * self.COMFORTABLE
 
-    def proactive(self, one: Situation) -> float:
+    def proactive(self, one: RelativeState) -> float:
         """Return the proactive metric PFS, from 0 (safe even if who leads brakes fully) to 1."""
         base = one.speed * DELAY - max(0.0, one.lead) ** 2 / (2.0 * self.LEAD)
         safe = base + one.speed**2 / (2.0 * self.COMFORTABLE) + self.MARGIN
         return _share(one.gap - self.STANDING, safe, base + one.speed**2 / (2.0 * self.HARD))
 
-    def critical(self, one: Situation) -> float:
+    def critical(self, one: RelativeState) -> float:
         """Return the critical metric CFS, from 0 (safe if who leads keeps its speed) to 1."""
         if one.approach <= 0.0:
             return 0.0

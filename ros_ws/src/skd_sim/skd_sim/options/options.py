@@ -182,7 +182,7 @@ class EpisodeOptions:
         ControllerName,
         metavar="NAME",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap", "log", "drive"),
+        commands=("assess", "episode", "probe", "protocol", "log", "drive"),
     )
     multiplier: float = option(
         1.0,
@@ -191,7 +191,7 @@ class EpisodeOptions:
         high=100.0,
         metavar="C",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap", "log", "drive"),
+        commands=("assess", "episode", "probe", "protocol", "log", "drive"),
     )
     name: str = option(
         "",

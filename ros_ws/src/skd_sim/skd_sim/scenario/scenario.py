@@ -148,7 +148,7 @@ class Protocol(Frozen):
 
     source: str
     speed: Annotated[float, limits(0.0, 60.0, "m/s")]
-    impact_places: tuple[Annotated[float, limits(-100.0, 200.0, "% of the car's width")], ...]
+    impact_places: tuple[Annotated[float, limits(-300.0, 300.0, "% of the car's width")], ...]
     acceleration_distance: Annotated[float, limits(0.0, 20.0, "m")] = 0.0
     headway: Annotated[float, limits(0.0, 20.0, "s")] | None = None
     brake_after: Annotated[float, limits(0.0, 60.0, "s")] | None = None

@@ -13,8 +13,8 @@ from skd_sim.scenario.scenario_file import lineage
 
 from skd_evaluator.assessment.episode_figures import StaticTest
 from skd_evaluator.assessment.stages.static_tests import place_of
-from skd_evaluator.extensions.ncap import layout
-from skd_evaluator.extensions.ncap.evaluation import (
+from skd_evaluator.extensions.protocols import layout
+from skd_evaluator.extensions.protocols.evaluation import (
     KMH,
     SAME,
     grid_of,
@@ -24,8 +24,8 @@ from skd_evaluator.extensions.ncap.evaluation import (
     why_none,
     with_test,
 )
-from skd_evaluator.extensions.ncap.matrices import ROOM, ProtocolMatrix, matrix_of
-from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell
+from skd_evaluator.extensions.protocols.matrices import ROOM, ProtocolMatrix, matrix_of
+from skd_evaluator.extensions.protocols.result import Grid, GridCell, ProtocolResult
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import Section, filled
@@ -68,7 +68,7 @@ def _key(one: Subject) -> str:
 
 
 def _view(group: Sequence[Subject]) -> View:
-    name, matrix, cells = group[0].scenario.name, None, list[NcapCell]()
+    name, matrix, cells = group[0].scenario.name, None, list[GridCell]()
     for one in group:
         matrix, found = _cells(one)
         cells += found
@@ -76,7 +76,7 @@ def _view(group: Sequence[Subject]) -> View:
     return View(str(group[0].figures["car"]), grid_of(name, group[0].scenario, cells, matrix))
 
 
-def _cells(one: Subject) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
+def _cells(one: Subject) -> tuple[ProtocolMatrix | None, list[GridCell]]:
     """Return the matrix of a result's scenario, and its cells."""
     scenario, figures = one.scenario, one.figures
     assert scenario.protocol is not None
@@ -98,11 +98,11 @@ def _cells(one: Subject) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
     return matrix, found
 
 
-def _cell_of(scenario: Scenario, place: float) -> tuple[ProtocolMatrix | None, NcapCell]:
+def _cell_of(scenario: Scenario, place: float) -> tuple[ProtocolMatrix | None, GridCell]:
     """Return the matrix of a result's scenario, and which of its cells an impact place at the scenario's speed is."""
     assert scenario.protocol is not None
     speed, target = rounded_kmh(KMH * scenario.car.start_speed), KMH * scenario.protocol.speed
-    bare = NcapCell(speed=speed, place=place)
+    bare = GridCell(speed=speed, place=place)
     try:
         known = next((name for name in lineage(scenario.name) if matrix_of(name) is not None), None)
     except UsageError:
@@ -126,10 +126,10 @@ def _is_other(section: str, mine: Scenario, shipped: Scenario) -> bool:
     return bool(own != theirs)
 
 
-def render(found: Ncap) -> str:
+def render(found: ProtocolResult) -> str:
     """Return the page."""
     views = [View("", grid) for grid in found.grids]
-    return _filled("ncap.html.j2", views, found=found, points=layout.points_lines(found))
+    return _filled("protocol.html.j2", views, found=found, points=layout.points_lines(found))
 
 
 def section_of(subjects: Sequence[Subject]) -> Section | None:
@@ -139,4 +139,4 @@ def section_of(subjects: Sequence[Subject]) -> Section | None:
 
 
 def _filled(template: str, views: Sequence[View], **more: object) -> str:
-    return filled("skd_evaluator.extensions.ncap", template, views=views, layout=layout, room=ROOM, **more)
+    return filled("skd_evaluator.extensions.protocols", template, views=views, layout=layout, room=ROOM, **more)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from rich.table import Table
 
-from skd_evaluator.extensions.ncap.matrices import GREEN, ROOM
-from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell
+from skd_evaluator.extensions.protocols.matrices import GREEN, ROOM, Criterion
+from skd_evaluator.extensions.protocols.result import Grid, GridCell, ProtocolResult
 from skd_evaluator.report.formats import counted
 from skd_evaluator.report.terminal import credibility, narrow_table, print_table
 
@@ -17,6 +17,7 @@ COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown"
 """As Euro NCAP's calculator has them; the letter in the cell says the same."""
 LIGHT = ("green", "yellow", "orange", "red")
 """Colours on which words are black: white would have a contrast below 4.5 (WCAG 2.2)."""
+PASS_LEGEND = "G passed, R failed, – no verdict, impact speed (km/h), margin (m; ≥ and ≤: a bound)"
 LEGEND = (
     "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin "
     "(m; ≥: in some trial no hit was found, ≤: the search has not converged)"
@@ -28,14 +29,14 @@ class Layout(NamedTuple):
 
     over: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[NcapCell | None, ...]], ...]
+    rows: tuple[tuple[str, tuple[GridCell | None, ...]], ...]
 
 
 def layout_of(grid: Grid) -> Layout:
     """Return the rows and columns of a grid: impact places, or target speeds where its matrix has these."""
     by_place = any(cell.place is not None for cell in grid.cells)
 
-    def key(cell: NcapCell) -> float:
+    def key(cell: GridCell) -> float:
         return (cell.place if by_place else cell.target) or 0.0
 
     keys = sorted(set(map(key, grid.cells)))
@@ -52,34 +53,36 @@ def layout_of(grid: Grid) -> Layout:
     )
 
 
-def letter_of(cell: NcapCell) -> str:
+def letter_of(cell: GridCell) -> str:
     """Return the letter of a cell's colour."""
     return cell.colour[:1].upper() or NOTHING
 
 
-def impact_text(cell: NcapCell) -> str:
+def impact_text(cell: GridCell) -> str:
     """Return a cell's impact speed."""
     return NOTHING if cell.impact_speed is None else f"{cell.impact_speed:.0f}"
 
 
-def margin_text(cell: NcapCell) -> str:
+def margin_text(cell: GridCell) -> str:
     """Return a cell's margin, as the bound that it may be."""
     return NOTHING if cell.margin is None else f"{cell.bound}{cell.margin:.2f}"
 
 
-def cell_name(cell: NcapCell) -> str:
+def cell_name(cell: GridCell) -> str:
     """Return which cell it is."""
     beside = f"{cell.place:g} %" if cell.place is not None else f"target {cell.target or 0.0:g} km/h"
     return f"{cell.speed:g} km/h, {beside}"
 
 
-def details(cell: NcapCell) -> str:
+def details(cell: GridCell) -> str:
     """Return the tooltip of a cell."""
     said = [cell_name(cell)]
     if cell.range:
         said.append(f"{cell.range} range")
     if cell.value is not None:
-        said.append(f"{cell.criterion} {cell.value:.1f} km/h")
+        said.append(f"{cell.criterion} {cell.value:.1f} {Criterion(cell.criterion).unit}")
+    if cell.limit is not None:
+        said.append(f"limit {cell.limit:.3g}")
     if cell.touched and not cell.impact_speed:
         said.append("the target ran into the car, which stood")
     if cell.braking_ttc is not None:
@@ -112,7 +115,7 @@ def headline(grid: Grid) -> str:
 
 def reasons(grid: Grid) -> list[str]:
     """Return why cells have no colour, no margin or only a bound of it, a line for each reason."""
-    kinds: dict[str, Callable[[NcapCell], bool]] = {
+    kinds: dict[str, Callable[[GridCell], bool]] = {
         "the search for the margin has not converged, which is an upper bound: try a greater --margin-limit": (
             lambda cell: not cell.converged
         ),
@@ -131,14 +134,21 @@ def reasons(grid: Grid) -> list[str]:
     return [f"{_cells(cells, grid)}: {why}" for why, cells in found.items()]
 
 
-def _cells(cells: Sequence[NcapCell], grid: Grid) -> str:
+def _cells(cells: Sequence[GridCell], grid: Grid) -> str:
     if len(cells) == len(grid.cells) > 1:
         return "all cells"
     return cell_name(cells[0]) if len(cells) == 1 else f"{len(cells)} cells, from {cell_name(cells[0])}"
 
 
-def points_lines(found: Ncap) -> list[str]:
-    """Return what is to be said of points, a line for each matrix."""
+def legend_of(found: ProtocolResult) -> str:
+    """Return what is in a cell."""
+    return PASS_LEGEND if found.verdict else LEGEND
+
+
+def points_lines(found: ProtocolResult) -> list[str]:
+    """Return what is to be said of points, a line for each matrix; or the verdict."""
+    if found.verdict:
+        return [f"{found.title}: {found.verdict}"]
     if found.points_why:
         return [f"no points: {found.points_why}"]
     return [
@@ -153,14 +163,14 @@ def points_lines(found: Ncap) -> list[str]:
 _STYLES = {"green": "green", "yellow": "yellow", "orange": "dark_orange", "brown": "orange4", "red": "red"}
 
 
-def print_ncap(found: Ncap) -> None:
+def print_result(found: ProtocolResult) -> None:
     """Print all grids, each with what is to be said of it."""
     said = credibility(found.warnings)
     first = f"{said.capitalize()} (the warnings say why): {found.car}" if said else found.car
-    print(f"{first}. Each cell: {LEGEND}; ! green with a margin below {ROOM:g} m")
+    print(f"{first}, {found.title}. Each cell: {legend_of(found)}; ! green with a margin below {ROOM:g} m")
     for grid in found.grids:
         layout = layout_of(grid)
-        beside = f" ({grid.test})" if grid.test else ""
+        beside = f" ({grid.test or grid.source})" if found.verdict or grid.test else ""
         print(f"\n{grid.scenario}{beside}: test speed (km/h) × {layout.over}")
         print_table(grid_table(layout))
         for line in (headline(grid), *(f"  {line}" for line in reasons(grid))):
@@ -176,7 +186,7 @@ def grid_table(layout: Layout) -> Table:
     return table
 
 
-def _cell_text(cell: NcapCell) -> str:
+def _cell_text(cell: GridCell) -> str:
     """Return a cell in few letters; one that is passed with a small margin has an exclamation mark."""
     letter, style = letter_of(cell), _STYLES.get(cell.colour)
     shown = f"[{style}]{letter}[/]" if style else letter

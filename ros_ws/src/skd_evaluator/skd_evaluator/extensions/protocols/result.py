@@ -1,4 +1,4 @@
-"""What `skd ncap` finds, and its file `ncap.json`: written and read back by the same description.
+"""What `skd protocol` finds, and its file `protocol.json`: written and read back by the same description.
 
 Points by Euro NCAP's own calculator (the extra `ncap`); whether a result agrees with itself, for `skd verify`.
 """
@@ -20,19 +20,21 @@ from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, re
 
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.files.verification import Verified
-from skd_evaluator.extensions.ncap.matrices import (
+from skd_evaluator.extensions.protocols.matrices import (
     COLOURS,
     CRITERIA,
     GREEN,
+    RED,
     Criterion,
     MatrixPoint,
     colour_of,
     matrix_of,
     scenarios_of,
 )
+from skd_evaluator.extensions.protocols.regulations import NCAP, REGULATIONS
 from skd_evaluator.metrics.aborted import not_credible
 
-RESULT, PAGE = "ncap.json", "ncap.html"
+RESULT, PAGE = "protocol.json", "protocol.html"
 VERSION: Final = 1
 _SAME: Final = 1e-5  # km/h or m by which figures differ that were rounded
 
@@ -40,7 +42,7 @@ Metres = Annotated[float, limits(0.0, 1e6, "m")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class NcapCell(Frozen):
+class GridCell(Frozen):
     """One test, and the margin around it. What is not known is None, or an empty text.
 
     Attributes:
@@ -49,10 +51,11 @@ class NcapCell(Frozen):
         place: impact place, % of the car's width; None: that of the scenario.
         range: of the matrix in which it is, `standard` or `extended`.
         criterion: what its colour goes by.
+        limit: greatest value with which it is passed; None: 2026's colours.
         touched: whether the car touched the target.
         impact_speed: speed of the car when it did, km/h; 0 where it did not.
         braking_ttc: time to collision when the car began to brake, s.
-        value: of the criterion, km/h.
+        value: of the criterion, in its unit.
         colour: of 2026.
         why: why it has no colour.
         margin: mean of `margins`, m.
@@ -67,6 +70,7 @@ class NcapCell(Frozen):
     place: Finite | None = None
     range: Annotated[str, OneOf(("", "standard", "extended"))] = ""
     criterion: Annotated[str, OneOf(("", *CRITERIA))] = ""
+    limit: Finite | None = None
     touched: YesNo | None = None
     impact_speed: Finite | None = None
     braking_ttc: Finite | None = None
@@ -89,11 +93,16 @@ class NcapCell(Frozen):
         return self.colour == GREEN and not self.impact_speed and self.margin is not None and self.margin < room
 
     @classmethod
-    def of_point(cls, point: MatrixPoint) -> NcapCell:
+    def of_point(cls, point: MatrixPoint) -> GridCell:
         """Return the cell of a test of a matrix, before it has run."""
         range_of = "standard" if point.standard else "extended"
         return cls(
-            speed=point.speed, target=point.target, place=point.place, range=range_of, criterion=str(point.criterion)
+            speed=point.speed,
+            target=point.target,
+            place=point.place,
+            range=range_of if point.limit is None else "",
+            criterion=str(point.criterion),
+            limit=point.limit,
         )
 
 
@@ -111,7 +120,7 @@ class Grid(Frozen):
 
     scenario: str
     description: str
-    cells: tuple[NcapCell, ...]
+    cells: tuple[GridCell, ...]
     test: str = ""
     source: str = ""
 
@@ -129,11 +138,12 @@ class Points(Frozen):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ncap(Frozen):
+class ProtocolResult(Frozen):
     """The regulator's view of one car.
 
     Attributes:
-        ncap: version of the file.
+        version: of the file.
+        protocol: the protocol's name.
         skd: version of SKD.
         car: the car, as people read it.
         seed: of all draws.
@@ -145,7 +155,8 @@ class Ncap(Frozen):
         warnings: why the car is not one that a rating is of, a line each.
     """
 
-    ncap: Annotated[int, limits(VERSION, VERSION, "version of the file")] = VERSION
+    version: Annotated[int, limits(VERSION, VERSION, "version of the file")] = VERSION
+    protocol: Annotated[str, OneOf((NCAP, *REGULATIONS))] = NCAP
     skd: str
     car: str
     seed: Count
@@ -156,8 +167,25 @@ class Ncap(Frozen):
     points_why: str = ""
     warnings: tuple[str, ...] = ()
 
+    @property
+    def title(self) -> str:
+        """What people call the protocol."""
+        return "Euro NCAP" if self.protocol == NCAP else REGULATIONS[self.protocol][0]
 
-def as_data(found: Ncap) -> dict[str, Any]:
+    @property
+    def verdict(self) -> str:
+        """Whether a regulation is fulfilled, of the tests that were run; empty for Euro NCAP, which has points."""
+        cells = [cell for grid in self.grids for cell in grid.cells]
+        red, open_ = (sum(cell.colour == colour for cell in cells) for colour in (RED, ""))
+        if self.protocol == NCAP or not cells:
+            return ""
+        said = "failed" if red else "not decided" if open_ else "passed"
+        return (
+            f"{said}: {len(cells) - red - open_} of {len(cells)} tests passed, {red} failed, {open_} without a verdict"
+        )
+
+
+def as_data(found: ProtocolResult) -> dict[str, Any]:
     """Return the result as plain data, without what is not known."""
     known: dict[str, Any] = _known(dataclasses.asdict(found))
     return known
@@ -169,7 +197,7 @@ def _known(value: Any) -> Any:
     return [_known(one) for one in value] if isinstance(value, (list, tuple)) else value
 
 
-def read_ncap(folder: Path) -> Ncap:
+def read_protocol(folder: Path) -> ProtocolResult:
     """Read a result back from its folder.
 
     Raises:
@@ -181,7 +209,7 @@ def read_ncap(folder: Path) -> Ncap:
     data = read_json(path)
     if isinstance(data, Mapping):
         data = {key: value for key, value in data.items() if key != "provenance"}
-    found = read_model(Ncap, data, str(path))
+    found = read_model(ProtocolResult, data, str(path))
     for grid in found.grids:
         for cell in grid.cells:
             if problem := _contradiction(cell, found.trials):
@@ -189,17 +217,18 @@ def read_ncap(folder: Path) -> Ncap:
     return found
 
 
-def _contradiction(cell: NcapCell, trials: int) -> str:
+def _contradiction(cell: GridCell, trials: int) -> str:
     """Return in what a cell contradicts itself; empty: in nothing."""
     if cell.colour:
         if cell.value is None or not cell.criterion:
             return f"is {cell.colour}, and does not say of what"
         try:
-            colour = colour_of(Criterion(cell.criterion), cell.speed, cell.value)
+            colour = colour_of(Criterion(cell.criterion), cell.speed, cell.value, cell.limit)
         except ValueError as error:
             return str(error)
         if colour != cell.colour:
-            return f"a {cell.criterion} of {cell.value:g} km/h is {colour}, not {cell.colour}"
+            unit = Criterion(cell.criterion).unit
+            return f"a {cell.criterion} of {cell.value:g} {unit} is {colour}, not {cell.colour}"
     if cell.margin is None and not cell.margins:
         return ""
     if cell.margin is None or len(cell.margins) != trials or abs(cell.margin - fmean(cell.margins)) > _SAME:
@@ -244,12 +273,12 @@ def _points(test: str, grids: Sequence[Grid]) -> Points:
 
 
 def with_regulator(found: Verified) -> Verified:
-    """Return what was found, and whether what `skd ncap` wrote agrees with itself: colours, margins, points."""
+    """Return what was found, and whether what `skd protocol` wrote agrees with itself: colours, margins, points."""
     path = found.folder / RESULT
     if found.problems or not path.exists():
         return found
     try:
-        said = read_ncap(found.folder)
+        said = read_protocol(found.folder)
     except UsageError as error:
         return replace(found, problems=(str(error),))
     problems, remarks = [], [*found.remarks, *not_credible(said.warnings)]

@@ -9,19 +9,25 @@ has no light, so the matrices are those of the day. A speed reduction of more th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 
 class Criterion(StrEnum):
-    """What a matrix goes by, in km/h."""
+    """What a matrix goes by."""
 
     RELATIVE = "relative impact speed"
     IMPACT = "impact speed"
     REDUCTION = "speed reduction"
+    BRAKING = "peak deceleration"
+
+    @property
+    def unit(self) -> str:
+        """Of its values."""
+        return "m/s²" if self is Criterion.BRAKING else "km/h"
 
 
 CRITERIA = tuple(map(str, Criterion))
@@ -41,6 +47,7 @@ class MatrixPoint:
         place: impact place, % of the car's width; None where the matrix has columns of target speeds in its place.
         standard: whether it is in the standard range, else in the extended one.
         criterion: what its colour goes by.
+        limit: greatest value of the criterion with which it is passed; None: the matrix has colours.
     """
 
     speed: float
@@ -48,19 +55,28 @@ class MatrixPoint:
     place: float | None
     standard: bool
     criterion: Criterion
+    limit: float | None = None
 
 
 @dataclass(frozen=True)
 class ProtocolMatrix:
-    """The tests of a matrix that one scenario has.
+    """The tests of a matrix that one scenario has, or a series of tests of a regulation.
 
     Attributes:
-        test: the name by which the calculator knows the matrix; two scenarios may share one.
+        test: the name by which the calculator knows the matrix; two scenarios may share one; or of a series.
         points: its tests.
+        scenario: in which a series drives; empty: the matrix is that of a scenario.
+        paragraphs: of the regulation.
+        changes: of the scenario's keys.
+        headway: how far ahead of the car the target starts, m; None: as the scenario says.
     """
 
     test: str
     points: tuple[MatrixPoint, ...]
+    scenario: str = ""
+    paragraphs: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    headway: float | None = None
 
 
 def matrix_of(scenario: str) -> ProtocolMatrix | None:
@@ -177,17 +193,20 @@ _BELOW: Final = {  # by test speed, km/h: the relative impact speed (km/h) below
 _REDUCTIONS: Final = ((10.0, RED), (20.0, ORANGE), (30.0, GREEN), (math.inf, RED))
 
 
-def colour_of(criterion: Criterion, speed: float, value: float) -> str:
-    """Return the colour of a test.
+def colour_of(criterion: Criterion, speed: float, value: float, limit: float | None = None) -> str:
+    """Return the colour of a test; where there is a limit it is green or red.
 
     Args:
         criterion: what it goes by.
         speed: test speed, km/h.
-        value: of the criterion, km/h; without a contact an impact speed of 0.
+        value: of the criterion, in its unit; without a contact an impact speed of 0.
+        limit: greatest value with which it is passed; None: the matrix has colours.
 
     Raises:
         ValueError: the criterion has no colours at this test speed.
     """
+    if limit is not None:
+        return GREEN if value <= limit else RED
     if criterion is Criterion.REDUCTION:
         return next(name for most, name in _REDUCTIONS if value <= most)
     if value <= 0.0:

@@ -1,4 +1,4 @@
-"""`skd ncap`: the regulator's view, test speeds × impact places with 2026's colours and the margin beside each."""
+"""`skd protocol`: the regulator's view, test speeds × impact places with a colour and the margin beside each."""
 
 from __future__ import annotations
 
@@ -23,36 +23,39 @@ from skd_evaluator.cli.arguments import (
 )
 from skd_evaluator.cli.output import finish, say
 from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
-from skd_evaluator.extensions.ncap.matrices import known_scenarios
+from skd_evaluator.extensions.protocols.matrices import ProtocolMatrix, known_scenarios
+from skd_evaluator.extensions.protocols.regulations import NCAP, REGULATIONS
 
 if TYPE_CHECKING:
-    from skd_evaluator.extensions.ncap.evaluation import NcapRequest
-    from skd_evaluator.extensions.ncap.result import Grid, Ncap
+    from skd_evaluator.extensions.protocols.evaluation import ProtocolRequest
+    from skd_evaluator.extensions.protocols.result import Grid, ProtocolResult
 
 SCENARIOS = "cpna,cpfa,cpnco"
 TRIALS = 5
 
 
-def add_ncap(parser: Parser) -> None:
-    """Run a regulator's tests: colours of Euro NCAP 2026, and the margin of each.
+def add_protocol(parser: Parser) -> None:
+    """Run the tests of Euro NCAP, UN R152 or FMVSS 127: passed or failed, and the margin of each.
 
-    Run the static tests of Euro NCAP 2026, test speeds × impact places, in which the target does what the protocol
-    prescribes. Each cell has the impact speed, its colour, and the safety margin. So a test that is passed with little
+    Run a protocol's static tests, test speeds × impact places, in which the target does what the protocol prescribes.
+    Each cell has the impact speed, its colour or verdict, and the safety margin. So a test that is passed with little
     room stands out. This is not an official rating (docs/campaigns.md).
     """
     parser.set_defaults(group="rate")
+    names = "ncap (Euro NCAP 2026), r152, r152_first (UN R152: second and first step) or fmvss127"
+    parser.add_argument("protocol", choices=(NCAP, *REGULATIONS), metavar="NAME", help=names)
     tests = parser.add_argument_group(CAR_GROUP)
     cars = "the car under test: basic, cal, carla, a registered name, file.py:Class or package.module:Class"
-    add_options(tests, "ncap", CAR_GROUP, controller={"help": f"{cars} (default: basic)"})
-    text = "scenarios with impact places, names or files, with commas in between (default: %(default)s)"
-    scenarios = tests.add_argument("--scenarios", default=SCENARIOS, metavar="LIST", help=text)
+    add_options(tests, "protocol", CAR_GROUP, controller={"help": f"{cars} (default: basic)"})
+    text = f"of ncap: scenarios with impact places, names or files, with commas in between (default: {SCENARIOS})"
+    scenarios = tests.add_argument("--scenarios", metavar="LIST", help=text)
     scenarios.names = known_scenarios  # type: ignore[attr-defined]  # which a shell completes
-    text = "test speeds of the car, km/h, as 10:60:10 (default: those of each scenario's matrix)"
+    text = "test speeds of the car, km/h, as 10:60:10 (default: those of each table)"
     tests.add_argument("--speeds", type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP", help=text)
     margins = parser.add_argument_group("margins")
-    add_options(margins, "ncap", table=AssessmentOptions)
+    add_options(margins, "protocol", table=AssessmentOptions)
     trials = f"how many trials there are in each cell, each with draws of its own (default: {TRIALS})"
-    add_options(margins, "ncap", "campaign", kamikaze_count={"default": TRIALS, "help": trials})
+    add_options(margins, "protocol", "campaign", kamikaze_count={"default": TRIALS, "help": trials})
     add_runner_arguments(parser)
     add_output_arguments(parser)
 
@@ -62,14 +65,14 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
     from skd_evaluator.assessment.stages.margin import warm_up_margins
-    from skd_evaluator.extensions.ncap.evaluation import evaluated_grid, log_warnings
-    from skd_evaluator.extensions.ncap.layout import print_ncap
-    from skd_evaluator.extensions.ncap.result import PAGE, RESULT, as_data
+    from skd_evaluator.extensions.protocols.evaluation import evaluated_grid, log_warnings
+    from skd_evaluator.extensions.protocols.layout import print_result
+    from skd_evaluator.extensions.protocols.result import PAGE, RESULT, as_data
     from skd_evaluator.metrics.aborted import not_credible
     from skd_evaluator.provenance import provenance
     from skd_evaluator.report.progress import progress_bar
 
-    sources = names_in(arguments.scenarios)
+    sources = sources_of(arguments)
     request = request_of(arguments, sources)
     out = result_folder(arguments)
     grids: list[Grid] = []
@@ -87,18 +90,18 @@ def run(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         if not grids:
             raise
-        print_ncap(_found(request, grids))
+        print_result(_found(arguments.protocol, request, grids))
         shown = f"{len(grids)} of {len(sources)} scenarios"
-        say("ncap", f"interrupted; nothing was written. What is above is of {shown}; the same command begins anew")
+        say("protocol", f"interrupted; nothing was written. What is above is of {shown}; the same command begins anew")
         return EXIT_INTERRUPTED
     warnings = log_warnings(logs)
     if not (car := request.plan.car).is_own:
         warnings = [*repeatability(car.controller, logs, fresh_process), *warnings]
-    found = replace(_found(request, grids), warnings=tuple(warnings))
+    found = replace(_found(arguments.protocol, request, grids), warnings=tuple(warnings))
     content = {**as_data(found), "provenance": provenance(arguments.command_line, request.plan.car)}
 
     def write(folder: Path) -> None:
-        from skd_evaluator.extensions.ncap.page import render  # slow to import, and needed only now
+        from skd_evaluator.extensions.protocols.page import render  # slow to import, and needed only now
 
         write_json(folder / RESULT, content)
         (folder / PAGE).write_text(render(found), encoding="utf-8")
@@ -106,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
     problem = out.save(write)
 
     def show() -> None:
-        print_ncap(found)
+        print_result(found)
         if not problem:
             print(f"results in {out.path}")
 
@@ -114,6 +117,24 @@ def run(arguments: argparse.Namespace) -> int:
     failures = [problem, "no test could be evaluated" if set(touched) <= {None} else None]
     code = finish(arguments, content, show, found.warnings, failures)
     return 1 if not_credible(found.warnings) else code
+
+
+def sources_of(arguments: argparse.Namespace) -> Sequence[str | ProtocolMatrix]:
+    """Return the scenarios of Euro NCAP that are requested, or the series of a regulation that have a test.
+
+    Raises:
+        UsageError: there are none, or scenarios of another protocol.
+    """
+    name, speeds = arguments.protocol, arguments.speeds
+    if name == NCAP:
+        return names_in(SCENARIOS if arguments.scenarios is None else arguments.scenarios)
+    if arguments.scenarios is not None:
+        raise UsageError(f"--scenarios goes with {NCAP}: {name} has its own")
+    every = REGULATIONS[name][1]
+    series = [one for one in every if speeds is None or any(point.speed in speeds for point in one.points)]
+    if not series:
+        raise UsageError(f"--speeds: {name} has no test at these speeds")
+    return series
 
 
 def names_in(text: str) -> list[str]:
@@ -129,7 +150,7 @@ def names_in(text: str) -> list[str]:
     return found
 
 
-def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapRequest:
+def request_of(arguments: argparse.Namespace, sources: Sequence[str | ProtocolMatrix]) -> ProtocolRequest:
     """Return what is requested of every scenario, after all checks that can be made before any work.
 
     Raises:
@@ -141,9 +162,19 @@ def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapReq
     from skd_evaluator.assessment.from_options import check_car
     from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
     from skd_evaluator.assessment.plan import Plan
-    from skd_evaluator.extensions.ncap.evaluation import NcapRequest, requested_tests, scenario_of
+    from skd_evaluator.extensions.protocols.evaluation import (
+        ProtocolRequest,
+        requested_tests,
+        scenario_of,
+        series_tests,
+    )
 
-    every = [(source, *requested_tests(source, arguments.speeds)) for source in sources]
+    every = [
+        (source.scenario, source, series_tests(source, arguments.speeds))
+        if isinstance(source, ProtocolMatrix)
+        else (source, *requested_tests(source, arguments.speeds))
+        for source in sources
+    ]
     source, matrix, cells = every[0]
     scenario = scenario_of(source, cells[0], matrix)
     unsaid = {one.name: one.unsaid for one in (*options_of(CampaignOptions), *options_of(GraphOptions))}
@@ -151,18 +182,19 @@ def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapReq
     checked = check_car(values, scenario, graph=False)
     period = None if checked.control_period == scenario.control_period else checked.control_period
     plan = Plan(scenario, **values_of(CampaignOptions, values))
-    return NcapRequest(plan, period, arguments.speeds, arguments.margin_limit)
+    return ProtocolRequest(plan, period, arguments.speeds, arguments.margin_limit)
 
 
-def _found(request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
+def _found(protocol: str, request: ProtocolRequest, grids: Sequence[Grid]) -> ProtocolResult:
     from skd_sim.start import installing
 
-    from skd_evaluator.extensions.ncap.result import Ncap, points_of, with_calculator
+    from skd_evaluator.extensions.protocols.result import ProtocolResult, points_of, with_calculator
     from skd_evaluator.version import version
 
-    plan, counts = request.plan, with_calculator()
+    plan, counts = request.plan, protocol == NCAP and with_calculator()
     car = f"{plan.controller}, C = {plan.multiplier:g}" if plan.car.has_multiplier else plan.controller
-    return Ncap(
+    return ProtocolResult(
+        protocol=protocol,
         skd=version(),
         car=car,
         seed=plan.seed,
@@ -171,6 +203,6 @@ def _found(request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
         grids=tuple(grids),
         points=tuple(points_of(grids)) if counts else (),
         points_why=""
-        if counts
+        if counts or protocol != NCAP
         else f"Euro NCAP's own calculator counts them, and is not installed: {installing('ncap')}",
     )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 from skd_sim.controllers.protocol import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
@@ -22,8 +24,8 @@ from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_ma
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.extensions.ncap.matrices import Criterion, ProtocolMatrix, colour_of, matrix_of
-from skd_evaluator.extensions.ncap.result import Grid, NcapCell
+from skd_evaluator.extensions.protocols.matrices import Criterion, ProtocolMatrix, colour_of, matrix_of
+from skd_evaluator.extensions.protocols.result import Grid, GridCell
 from skd_evaluator.metrics.margins import Margins
 
 KMH = 3.6
@@ -39,7 +41,7 @@ def rounded_kmh(speed: float) -> float:
     return round(speed, _ROUNDED) + 0.0  # no −0
 
 
-def with_test(cell: NcapCell, tested: StaticTest, target: float, why_none: str = "") -> NcapCell:
+def with_test(cell: GridCell, tested: StaticTest, target: float, why_none: str = "", braking: float = 0.0) -> GridCell:
     """Return a cell with what came of its static test.
 
     Args:
@@ -47,6 +49,7 @@ def with_test(cell: NcapCell, tested: StaticTest, target: float, why_none: str =
         tested: its test.
         target: speed of the target in that, km/h.
         why_none: why the car's own driving makes it no test; empty if it does not, or it is not known.
+        braking: the car's peak deceleration, m/s².
     """
     if tested.aborted:
         return replace(cell, why=f"the test was aborted: {tested.aborted}")
@@ -68,11 +71,12 @@ def with_test(cell: NcapCell, tested: StaticTest, target: float, why_none: str =
         Criterion.RELATIVE: rounded_kmh(impact - rounded_kmh(KMH * tested.speed_ahead)),
         Criterion.IMPACT: impact,
         Criterion.REDUCTION: rounded_kmh(cell.speed - impact),
+        Criterion.BRAKING: round(braking, _ROUNDED),
     }[Criterion(cell.criterion)]
-    return replace(cell, value=value, colour=colour_of(Criterion(cell.criterion), cell.speed, value))
+    return replace(cell, value=value, colour=colour_of(Criterion(cell.criterion), cell.speed, value, cell.limit))
 
 
-def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
+def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[ProtocolMatrix | None, list[GridCell]]:
     """Return the matrix that a scenario belongs to, and its cells at some test speeds (km/h; None: the matrix's).
 
     Raises:
@@ -86,16 +90,21 @@ def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[Protoc
     places = scenario.protocol.impact_places
     own = [rounded_kmh(KMH * scenario.car.start_speed)]
     targets = list(dict.fromkeys(one.target for one in points if one.place is None))
-    cells: list[NcapCell] = []
+    cells: list[GridCell] = []
     for speed in speeds or list(dict.fromkeys(point.speed for point in points)) or own:
         here = [one for one in points if one.speed == speed and (one.place is None or one.place in places)]
         if here:
-            cells += map(NcapCell.of_point, here)
+            cells += map(GridCell.of_point, here)
         elif targets:
-            cells += [NcapCell(speed=speed, target=one, why=why_none(matrix, speed)) for one in targets]
+            cells += [GridCell(speed=speed, target=one, why=why_none(matrix, speed)) for one in targets]
         else:
-            cells += [NcapCell(speed=speed, place=one, why=why_none(matrix, speed, one)) for one in places]
+            cells += [GridCell(speed=speed, place=one, why=why_none(matrix, speed, one)) for one in places]
     return matrix, cells
+
+
+def series_tests(series: ProtocolMatrix, speeds: Sequence[float] | None) -> list[GridCell]:
+    """Return the cells of a series of a regulation at some test speeds (km/h; None: all)."""
+    return [GridCell.of_point(one) for one in series.points if speeds is None or one.speed in speeds]
 
 
 def why_none(matrix: ProtocolMatrix | None, speed: float, place: float = 0.0) -> str:
@@ -108,7 +117,7 @@ def why_none(matrix: ProtocolMatrix | None, speed: float, place: float = 0.0) ->
     return f"{matrix.test} has no impact place of {place:g} %{f' at {speed:g} km/h' if anywhere else ''}"
 
 
-def scenario_of(source: str, test: NcapCell, matrix: ProtocolMatrix | None) -> Scenario:
+def scenario_of(source: str, test: GridCell, matrix: ProtocolMatrix | None) -> Scenario:
     """Return the scenario of a cell, with one impact place.
 
     The target's speed is the matrix's where that has several; a target of another speed than the only one is let be.
@@ -120,7 +129,11 @@ def scenario_of(source: str, test: NcapCell, matrix: ProtocolMatrix | None) -> S
     assert scenario.protocol is not None
     places, speed, target = scenario.protocol.impact_places, scenario.protocol.speed, test.target
     place = test.place if test.place is not None else places[len(places) // 2]
-    changes = {"car.start_speed": test.speed / KMH, "protocol.impact_places": [place]}
+    changes: dict[str, Any] = {"car.start_speed": test.speed / KMH, "protocol.impact_places": [place]}
+    if matrix is not None:
+        changes |= matrix.changes
+        if matrix.headway is not None:
+            changes["protocol.headway"] = matrix.headway / (test.speed / KMH)
     several = matrix is not None and len({one.target for one in matrix.points}) > 1
     if target is not None and several and not math.isclose(KMH * speed, target, abs_tol=SAME):
         changes["protocol.speed"] = speed = target / KMH
@@ -129,7 +142,7 @@ def scenario_of(source: str, test: NcapCell, matrix: ProtocolMatrix | None) -> S
 
 
 @dataclass(frozen=True)
-class NcapRequest:
+class ProtocolRequest:
     """What is requested of every scenario.
 
     Attributes:
@@ -157,12 +170,12 @@ def log_warnings(logs: Sequence[EpisodeLog]) -> list[str]:
 
 
 def evaluated_grid(
-    source: str, request: NcapRequest, runner: Workers, progress: Progress
+    source: str | ProtocolMatrix, request: ProtocolRequest, runner: Workers, progress: Progress
 ) -> tuple[Grid, list[EpisodeLog]]:
     """Return the cells of a scenario, and the logs of their static tests.
 
     Args:
-        source: its name, or the path of its file.
+        source: its name, or the path of its file; or a series of a regulation.
         request: what is requested of each cell.
         runner: runs episodes and computes margins; it has been started.
         progress: called with how far the work is.
@@ -171,7 +184,11 @@ def evaluated_grid(
         UsageError: there is no such scenario.
         AssessmentError: the car fails in a static test.
     """
-    matrix, tests = requested_tests(source, request.speeds)
+    matrix: ProtocolMatrix | None
+    if isinstance(source, ProtocolMatrix):
+        matrix, tests, name, source = source, series_tests(source, request.speeds), source.test, source.scenario
+    else:
+        name, (matrix, tests) = source, requested_tests(source, request.speeds)
     begun = [_begun(source, one, matrix, request) for one in tests]
     refused, logs = "", list[EpisodeLog]()
     try:
@@ -179,27 +196,30 @@ def evaluated_grid(
     except UsageError as error:  # what a car cannot drive it says when its first episode begins
         refused = str(error)
     left = iter(logs)
-    cells: list[NcapCell] = []
+    cells: list[GridCell] = []
     for done, (cell, plan, _) in enumerate(begun, start=1):
         if plan is not None and refused:
             cell = replace(cell, why=refused, margin_why=refused)
         elif plan is not None:
             cell = _with_margin(_with_test(cell, next(left), plan, runner), plan, request, runner)
         cells.append(cell)
-        progress(source, done, len(tests))
-    return grid_of(source, load_scenario(source), cells, matrix), logs
+        progress(name, done, len(tests))
+    return grid_of(name, load_scenario(source), cells, matrix), logs
 
 
-def grid_of(name: str, scenario: Scenario, cells: Sequence[NcapCell], matrix: ProtocolMatrix | None) -> Grid:
+def grid_of(name: str, scenario: Scenario, cells: Sequence[GridCell], matrix: ProtocolMatrix | None) -> Grid:
     """Return the grid of a scenario, which has a section `protocol`."""
     assert scenario.protocol is not None
     description = " ".join(scenario.description.split())
+    if matrix is not None and matrix.paragraphs:
+        source = f"{matrix.paragraphs}; target of scenario {matrix.scenario}"
+        return Grid(name, f"By {matrix.paragraphs}.", tuple(cells), "", source)
     return Grid(name, description, tuple(cells), "" if matrix is None else matrix.test, scenario.protocol.source)
 
 
 def _begun(
-    source: str, cell: NcapCell, matrix: ProtocolMatrix | None, request: NcapRequest
-) -> tuple[NcapCell, Plan | None, EpisodeSpec | None]:
+    source: str, cell: GridCell, matrix: ProtocolMatrix | None, request: ProtocolRequest
+) -> tuple[GridCell, Plan | None, EpisodeSpec | None]:
     """Return a cell, its plan and its static test, if there are any."""
     try:
         scenario = scenario_of(source, cell, matrix)
@@ -211,11 +231,17 @@ def _begun(
     return cell, plan, episode
 
 
-def _with_test(cell: NcapCell, log: EpisodeLog, plan: Plan, runner: Workers) -> NcapCell:
+def _with_test(cell: GridCell, log: EpisodeLog, plan: Plan, runner: Workers) -> GridCell:
     protocol = plan.scenario.protocol
     assert protocol is not None
     why_none = "" if not cell.criterion or plan.car.is_own else _why_no_test(plan, cell.speed, runner)
-    return with_test(cell, StaticTest.of(protocol.impact_places[0], log), KMH * protocol.speed, why_none)
+    tested = StaticTest.of(protocol.impact_places[0], log)
+    return with_test(cell, tested, KMH * protocol.speed, why_none, _peak_deceleration(log))
+
+
+def _peak_deceleration(log: EpisodeLog) -> float:
+    """Return the greatest deceleration over a time step, m/s²."""
+    return float(-np.diff(log.car[:, 3]).min(initial=0.0)) / log.episode.scenario.time_step
 
 
 def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
@@ -231,7 +257,7 @@ def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
     return f"the car slows down to {KMH * slowest.last:.0f} km/h undisturbed, which is no test at {speed:g} km/h"
 
 
-def _with_margin(cell: NcapCell, plan: Plan, request: NcapRequest, runner: Workers) -> NcapCell:
+def _with_margin(cell: GridCell, plan: Plan, request: ProtocolRequest, runner: Workers) -> GridCell:
     """Return a cell with the margin around its test."""
     if why := why_no_margin(plan, request.margin_limit, whole_episodes=False):
         return replace(cell, margin_why=why)
