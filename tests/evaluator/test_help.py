@@ -94,6 +94,15 @@ def test_skd_alone_prints_its_help(capsys):
     assert "assess" in alone.out
 
 
+def test_no_word_of_pages_and_reports_is_private():
+    pages = [*SOURCES.rglob("*.j2"), *SOURCES.rglob("templates/*.js"), *(SOURCES.parents[1] / "docs").glob("*.md")]
+    pages.append(SOURCES.parents[1] / "README.md")
+    assert len(pages) > 25
+    for page in pages:
+        text = page.read_text(encoding="utf-8").replace("told apart", "").replace("Told apart", "")
+        assert PRIVATE.findall(text) == [], page
+
+
 def test_no_sentence_is_long_and_no_word_private(commands):
     texts = [(name, text) for name, command in commands.items() for text in texts_of(command)]
     assert len(texts) > 300

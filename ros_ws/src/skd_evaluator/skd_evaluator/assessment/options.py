@@ -96,6 +96,7 @@ class AssessmentOptions:
         metavar="DIR",
         commands=("assess",),
         unset="none",
+        marks=(RARE,),
     )
     behaviour: str = option(
         WALKERS,

@@ -205,7 +205,7 @@ def _given_elsewhere(arguments: argparse.Namespace) -> dict[str, Any]:
     store = EpisodeStore(unfinished(out))
     begun = store.about()
     store.close()
-    if (folder := begun["folder"]) != str(Path.cwd()):
+    if (folder := begun.get("folder", "")) != str(Path.cwd()):
         raise UsageError(f"--resume: {out} was begun in {folder}; go on with it there")
     words = ["assess", *begun["words"]]
     kept = vars(parse(make_parser(words), words))
