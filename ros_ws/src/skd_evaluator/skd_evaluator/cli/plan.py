@@ -80,17 +80,17 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     def show() -> None:
         unit = "" if arguments.figure == "contact_rate" else " m"
         what = "the difference in " if arguments.difference is not None else ""
-        print(f"{source.text}.")
+        goal = (
+            f"a difference of {arguments.difference}"
+            if arguments.width is None
+            else f"an interval of {arguments.width:g}"
+        )
+        print(f"{source.text}, for {goal}{unit}.")
         print(
             f"Standard deviation of {what}{arguments.figure.replace('_', ' ')}: {between**0.5:.3f}{unit} between safe "
             f"trajectories φ, {within**0.5:.3f}{unit} between trials on one."
         )
-        goal = (
-            f"an interval {arguments.width:g}{unit} wide"
-            if arguments.width is not None
-            else (f"a difference of {arguments.difference:g}{unit}")
-        )
-        print_table(_table(f"Each row suffices for {goal}", sizes, cheapest))
+        print_table(_table(sizes, cheapest))
         print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
 
     warnings = [line for one in results for line in one.remarks]
@@ -114,8 +114,8 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
             raise UsageError(f"--figure {arguments.figure} needs a result of skd assess to plan with")
         of_one, of_a_difference = _STATED[arguments.figure]
         if arguments.width is not None or arguments.unpaired:
-            return _Variances(of_one, False, "Planned as for the basic car with C = 1; an earlier result plans better")
-        text = "Planned as for the basic cars with C = 1 and 1.05; two earlier results plan better"
+            return _Variances(of_one, False, "Planned as for the basic car with C = 1 (an earlier result plans better)")
+        text = "Planned as for the basic cars with C = 1 and 1.05 (two earlier results plan better)"
         return _Variances(of_a_difference, True, text)
     for one in results:
         if arguments.figure not in one.groups:
@@ -152,10 +152,12 @@ def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _V
     return _Variances(variance_components(differences), True, text, len(differences))
 
 
-def _table(title: str, sizes: Sequence[Size], cheapest: Size) -> Table:
+def _table(sizes: Sequence[Size], cheapest: Size) -> Table:
     rows = []
     for size in sizes:
         power = "—" if size.power is None else f"{100 * size.power:.0f} %"
         cells = (str(size.trials), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
         rows.append([f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells])
-    return narrow_table(title, ("trials\non each φ", "φ", "episodes", "width of\ninterval", "power"), rows)
+    return narrow_table(
+        "Each row suffices", ("trials\non each φ", "φ", "episodes", "width of\ninterval", "power"), rows
+    )
