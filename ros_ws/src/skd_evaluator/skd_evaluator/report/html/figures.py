@@ -123,7 +123,7 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         f"({_bounded(last, key)}) and {first.label} the least ({_bounded(first, key)})."
     )
     if out := [one.label for one in members if does_not_get_past(one.figures)]:
-        text += f" Often stuck at harmless people, so not called safer: {', '.join(out)}."
+        text += f" Not called safer, for often stuck at harmless people: {', '.join(out)}."
     known = all(one.figures[f"{key}_ci95"] for one in members)
     if close and len(members) == 2:
         text += f" Their intervals by φ {'overlap' if known else 'are not known'}; skd compare judges such pairs."
