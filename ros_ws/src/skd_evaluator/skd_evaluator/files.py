@@ -22,6 +22,8 @@ MARKERS: Final = (
 """A folder with one of these holds results of ours."""
 PREFIX: Final = ".skd-"
 """Of names of temporary files and folders, which lie beside what they become; one that was killed leaves them."""
+UNFINISHED: Final = ".unfinished.sqlite"
+"""End of the name of the file beside results in which episodes are kept until these are written."""
 
 
 def tails(folders: Sequence[Path]) -> list[str]:

@@ -31,7 +31,7 @@ from skd_sim.inputs.files import sha256_of
 from skd_sim.kernels.compilation import arithmetic_digest
 from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
 
-from skd_evaluator.files import MARKERS
+from skd_evaluator.files import MARKERS, UNFINISHED
 from skd_evaluator.version import version
 
 MOST_FILES: Final = 2_000
@@ -189,7 +189,8 @@ def _below(folder: Path) -> Iterator[Path]:
             continue
         for name in sorted(names):
             file = Path(top, name)
-            if not name.startswith(".") and not name.endswith((".pyc", ".pyo")) and file.is_file():
+            written = name.endswith((".pyc", ".pyo")) or UNFINISHED in name
+            if not (name.startswith(".") or written) and file.is_file():
                 yield file
 
 

@@ -378,10 +378,10 @@ def _of_the_judge(held: Comparison) -> list[str]:
                     "this car is not called the safer one (--margin-limit)"
                 )
         if _unlike_budgets(*both):
-            budgets = (f"{one.figures['margin_budget']} in {one.folder}" for one in both)
+            budgets = (f"{one.figures['margin_budget']} candidates a trial in {one.folder}" for one in both)
             found.append(
-                f"candidates a trial of the margin's search: {' and '.join(budgets)}; the interval allows "
-                f"{100 * CONVERGED_WITHIN:g} % for that"
+                f"the margin's search drove {' and '.join(budgets)}: "
+                f"the interval allows {100 * CONVERGED_WITHIN:g} % for that"
             )
         tracks = [one.figures["margin_how"] or "" for one in both]
         if tracks[0] != tracks[1]:

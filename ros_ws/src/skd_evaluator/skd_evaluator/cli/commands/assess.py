@@ -33,6 +33,7 @@ from skd_evaluator.cli.gate import Gate, add_gate_arguments, gate_of
 from skd_evaluator.cli.output import print_json, say
 from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser, make_parser, parse, rare
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import UNFINISHED
 
 if TYPE_CHECKING:  # help reads this module, and they take time
     from skd_sim.scenario.scenario import Scenario
@@ -42,8 +43,6 @@ if TYPE_CHECKING:  # help reads this module, and they take time
     from skd_evaluator.assessment.files.result_folder import ResultFolder
     from skd_evaluator.assessment.files.results import StoredResult
     from skd_evaluator.assessment.plan import Plan
-
-_UNFINISHED = ".unfinished.sqlite"
 
 
 def add(parser: Parser) -> None:
@@ -183,7 +182,7 @@ def _confirmed(
 
 def unfinished(out: Path) -> Path:
     """Return the file beside the results in which episodes are kept until these are written."""
-    return out.with_name(f"{out.name}{_UNFINISHED}")
+    return out.with_name(f"{out.name}{UNFINISHED}")
 
 
 def _is_unfinished(out: Path) -> bool:
@@ -220,7 +219,7 @@ def _to_resume(arguments: argparse.Namespace) -> Path:
     if arguments.resume and arguments.out not in (None, Path(arguments.resume)):
         raise UsageError(f"--resume {arguments.resume} --out {arguments.out}: give one of them")
     if not (named := arguments.resume or arguments.out):
-        found = [str(path).removesuffix(_UNFINISHED) for path in sorted(Path("skd_results").glob(f"*{_UNFINISHED}"))]
+        found = [str(path).removesuffix(UNFINISHED) for path in sorted(Path("skd_results").glob(f"*{UNFINISHED}"))]
         if len(found) > 1:
             raise UsageError(f"--resume: several were interrupted; name one: {', '.join(found[:5])}")
         if not found:
