@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from skd_adversary.car_models.car_model_file import read_car_model
 from skd_evaluator.cli.main import main
 
 
@@ -125,3 +126,14 @@ def test_a_model_of_another_car_is_refused(model, tmp_path, capsys):
     assert run("assess", *arguments) == 2
     assert "front is 2.25 m" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_of_a_car_that_evades_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    car = Path(__file__).parents[2] / "examples" / "evasive" / "evasive.py"
+    lanes = ("--scenario", "oncoming_lane", "--controller", f"{car}:OtherLane")
+    assert run("probe", *lanes, "--episodes", "24", "--workers", "1", "--out", tmp_path / "probe") == 0
+    assert run("fit", tmp_path / "probe", "--out", tmp_path / "fit") == 0
+    assert "by a forest of recorded ticks, which say where it evades to" in capsys.readouterr().out
+    forest = read_car_model(tmp_path / "fit").forest
+    assert forest is not None
+    assert forest.evades

@@ -80,8 +80,10 @@ def _fit_car(arguments: argparse.Namespace) -> int:
             print_table(fit.family_table(data))
         if data["predictions"]:
             print_table(fit.prediction_table(data))
+        if data["predictions"] or data["forest"]:
             by = "a forest of recorded ticks" if data["forest"] else "the law above"
-            print(f"The adversary predicts the car by {by}")
+            evades = ", which say where it evades to, too" if car.forest is not None and car.forest.evades else ""
+            print(f"The adversary predicts the car by {by}{evades}")
         if held_out := data["calibration"]:
             p_value = held_out["p_value"]
             chance = f"p = {p_value:.3f}" if p_value >= fit.CONTRADICTED else f"p < {fit.CONTRADICTED:g}"
