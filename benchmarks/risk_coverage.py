@@ -26,8 +26,16 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import load_behaviour, walk
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.metrics.statistics import wilson_interval
-from skd_evaluator.risk.cars import KnownCar
-from skd_evaluator.risk.crossings import SAME, CrossingPlan, Crossings, Ends, in_car_frame, missed_by, side_touched
+from skd_evaluator.risk.crossings import (
+    SAME,
+    CrossingPlan,
+    Crossings,
+    Ends,
+    KnownCar,
+    in_car_frame,
+    missed_by,
+    side_touched,
+)
 from skd_evaluator.risk.subset import REPLICATES, Levels, Replicate, SubsetEffort, gathered, levels_of, replicate
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import HEADING_NORTH

@@ -16,8 +16,7 @@ from skd_evaluator.margin.search import rounds as searching
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.risk.cars import AnyCar, batched_car
-from skd_evaluator.risk.crossings import CrossingPlan
+from skd_evaluator.risk.crossings import AnyCar, CrossingPlan, batched_car
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome

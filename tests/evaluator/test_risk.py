@@ -18,8 +18,7 @@ from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import ScaleRisk, Subsets, Touch, log_t_interval
-from skd_evaluator.risk.cars import AnyCar, KnownCar
-from skd_evaluator.risk.crossings import IN_A_CURVE, SAME, CrossingPlan, Crossings, Ends, side_touched
+from skd_evaluator.risk.crossings import IN_A_CURVE, SAME, AnyCar, CrossingPlan, Crossings, Ends, KnownCar, side_touched
 from skd_evaluator.risk.subset import SubsetEffort, gathered, levels_of, replicate
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

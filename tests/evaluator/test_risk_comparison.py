@@ -23,8 +23,7 @@ from skd_evaluator.metrics.contact_place import car_at_contact, car_until_contac
 from skd_evaluator.metrics.difference import Difference
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
-from skd_evaluator.risk.cars import AnyCar, end_of
-from skd_evaluator.risk.crossings import CrossingPlan
+from skd_evaluator.risk.crossings import AnyCar, CrossingPlan, end_of
 from skd_sim.controllers.protocol import Controller
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.road import right_and_along

@@ -8,7 +8,7 @@ that says otherwise is not of this world, of another episode, or damaged.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -46,16 +46,23 @@ class FirstTouch(NamedTuple):
 
 
 @dataclass
-class Recomputed:
-    """How far a recording is from what the world would have given.
+class Verdict:
+    """Whether a log can have happened.
 
     Attributes:
-        deviation: the greatest difference, m, m/s or s.
-        where: the quantity that it is of, and the tick.
+        fault: why it cannot have happened; empty: nothing contradicts it.
+        deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s.
+        where: the quantity and tick of the deviation.
     """
 
+    fault: str = ""
     deviation: float = 0.0
     where: str = ""
+
+    @property
+    def ours(self) -> bool:
+        """Whether SKD's own world gives this log."""
+        return not self.fault and self.deviation <= ROUNDING
 
     def note(self, differences: FloatArray | float, what: str, first_tick: int | None = None) -> None:
         """Take differences (m, m/s or s) of some quantity, one a tick from `first_tick` on, or a single one."""
@@ -143,7 +150,7 @@ def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
     return found
 
 
-def recompute(log: EpisodeLog) -> Recomputed:
+def recompute(log: EpisodeLog) -> Verdict:
     """Compare a log with what the world gives to its adversary's steps and its commands.
 
     Where the commands are not known, only the start and the adversary are compared.
@@ -151,7 +158,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
     Args:
         log: what is said to have happened, with any outcome; its states must be finite.
     """
-    found = Recomputed()
+    found = Verdict()
     world = make_world(log.episode)
     found.note(log.adversary[0] - np.array(world.adversary[:2]), "the adversary's start")
     found.note(log.car[0] - np.array(world.car), "the car's start")
@@ -169,7 +176,7 @@ def follows_phi(episode: EpisodeSpec) -> bool:
     return objective_named(episode.objective).follows_phi
 
 
-def _adversary(log: EpisodeLog, found: Recomputed) -> None:
+def _adversary(log: EpisodeLog, found: Verdict) -> None:
     """Compare each step of the adversary with those that it can choose.
 
     In real time a command is held until the next one comes, so one that follows φ may go as φ did in another tick.
@@ -189,7 +196,7 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
     found.note(np.abs(reached - walked[1:, None]).max(axis=-1).min(axis=1), "the adversary's position", 1)
 
 
-def _car(log: EpisodeLog, commands: FloatArray, world: World, found: Recomputed) -> None:
+def _car(log: EpisodeLog, commands: FloatArray, world: World, found: Verdict) -> None:
     """Drive the car again by its commands; compare its states, the impact, and what a basic car commands."""
     episode, steps = log.episode, np.diff(log.adversary, axis=0) / log.episode.scenario.time_step
     # φ is made before any car is looked at, and in real time a command may be that of an earlier tick.
@@ -228,26 +235,6 @@ _OFF = 1.0  # m from φ that the adversary of another simulator may stray
 _SLACK = 0.05  # m
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Whether a log can have happened.
-
-    Attributes:
-        fault: why it cannot have happened; empty: nothing contradicts it.
-        deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s.
-        where: the quantity and tick of the deviation.
-    """
-
-    fault: str = ""
-    deviation: float = 0.0
-    where: str = ""
-
-    @property
-    def ours(self) -> bool:
-        """Whether SKD's own world gives this log."""
-        return not self.fault and self.deviation <= ROUNDING
-
-
 def examine(log: EpisodeLog) -> Verdict:
     """Recompute whatever can be recomputed of a log, and say what does not fit.
 
@@ -262,11 +249,9 @@ def examine(log: EpisodeLog) -> Verdict:
             return Verdict(fault)
         if not np.isfinite(log.car).all():
             return Verdict()  # one that was aborted before there was anything to record
-        fault = _outcome(log) or implausible(log)
-        found = recompute(log)
+        return replace(recompute(log), fault=_outcome(log) or implausible(log))
     except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
         return Verdict(str(error))
-    return Verdict(fault, found.deviation, found.where)
 
 
 def _form(log: EpisodeLog) -> str:

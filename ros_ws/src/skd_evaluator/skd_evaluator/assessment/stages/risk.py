@@ -31,8 +31,16 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
-from skd_evaluator.risk.cars import AnyCar, KnownCar, batched_car, end_of
-from skd_evaluator.risk.crossings import CrossingModel, CrossingPlan, Crossings, Ends
+from skd_evaluator.risk.crossings import (
+    AnyCar,
+    CrossingModel,
+    CrossingPlan,
+    Crossings,
+    Ends,
+    KnownCar,
+    batched_car,
+    end_of,
+)
 from skd_evaluator.risk.subset import AbortedCrossingsError, Replicate, SubsetEffort, gathered, levels_of, replicate
 
 LABEL: Final = "risk"
