@@ -1,8 +1,6 @@
 """How often `skd bisect` finds a seeded regression, how often its test errs, and what a warm start saves.
 
-    python benchmarks/regressions.py histories [--count 30]
-    python benchmarks/regressions.py null [--count 1000]
-    python benchmarks/regressions.py warm [--count 20]
+    python benchmarks/regressions.py histories|null|warm [--count N]
 
 A history has 64 commits of one of three controllers: 34 refactorings, a regression, and 29 changes by millimetres. In a
 null history the good and the bad version change places at random in each trial. A warm start searches the margin of a
@@ -22,7 +20,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from skd_evaluator.assessment.from_options import scenario_for
@@ -58,9 +55,9 @@ class Car:
         return 1.0 if car.speed < self.desired else 0.0
 """
 CONTROLLERS = {  # when somebody is near, and how long the brake stays on
-    "time to collision": ("time < 1.4", "2"),
-    "required deceleration": ("car.speed**2 / (2.0 * max(gap, 0.1)) > 2.5", "2"),
-    "latched distance": ("gap < 12.0 + 0.5 * (car.speed - 8.0)", "0"),
+    "time to collision": ("time < 1.4", 2),
+    "required deceleration": ("car.speed**2 / (2.0 * max(gap, 0.1)) > 2.5", 2),
+    "latched distance": ("gap < 12.0 + 0.5 * (car.speed - 8.0)", 0),
 }
 REGRESSIONS = {  # old text and new
     "threshold": ("abs(aside) < WIDTH", "abs(aside) < WIDTH - 0.5"),
@@ -83,35 +80,23 @@ SMALL = {
     "nearer by 2 cm": ("- 2.25", "- 2.23"),
     "a regression": REGRESSIONS["threshold"],
 }
+Change = tuple[str, str]
 RENAMED = ("gap", "time", "aside", "near")
 
 
-class Case(NamedTuple):
-    """A controller before and after a change."""
-
-    name: str
-    good: str
-    bad: str
-    change: tuple[str, str]
+def cases(changes: Mapping[str, Change], count: int) -> list[tuple[str, str, Change]]:
+    """Return the first pairs of changes and controllers: names, good controllers and changes."""
+    cars = [(name, CONTROLLER.format(near=near, latch=latch)) for name, (near, latch) in CONTROLLERS.items()]
+    return [(f"{name}: {what}", car, change) for what, change in changes.items() for name, car in cars][:count]
 
 
-def cases(changes: Mapping[str, tuple[str, str]], count: int) -> list[Case]:
-    """Return the first pairs of changes and controllers."""
-    found = []
-    for what, change in changes.items():
-        for name, (near, latch) in CONTROLLERS.items():
-            good = CONTROLLER.replace("{near}", near).replace("{latch}", latch)
-            found.append(Case(f"{name}: {what}", good, good.replace(*change), change))
-    return found[:count]
-
-
-def history(case: Case, rng: np.random.Generator) -> Iterator[tuple[str, str]]:
+def history(good: str, change: Change, rng: np.random.Generator) -> Iterator[tuple[str, str]]:
     """Yield what each commit says, and the file after it."""
     kinds = rng.permutation(["refactoring"] * REFACTORINGS + ["small"] * (COMMITS - REFACTORINGS - 1)).tolist()
     kinds.insert(int(rng.integers(1, COMMITS)), "regression")
-    text, width, notes = case.good, 1.5, 0
+    text, width, notes = good, 1.5, 0
     for kind in ["start", *kinds]:
-        text = text.replace(*case.change) if kind == "regression" else text
+        text = text.replace(*change) if kind == "regression" else text
         width += float(rng.choice([-0.002, 0.002])) if kind == "small" else 0.0
         notes += kind == "refactoring"
         written = text.replace("1.500", f"{width:.3f}")
@@ -124,7 +109,7 @@ def histories(count: int) -> None:
     """Print, of each history, which commit is found, and how long that takes."""
     kinds_found = []
     print("| regression | first bad commit | revisions tested | of these to the bit | s |\n|---|---|---|---|---|")
-    for number, case in enumerate(cases(REGRESSIONS, count)):
+    for number, (case, good, change) in enumerate(cases(REGRESSIONS, count)):
         with tempfile.TemporaryDirectory() as name:
 
             def git(*words: str, folder: str = name) -> str:
@@ -133,20 +118,20 @@ def histories(count: int) -> None:
 
             git("init", "-q")
             kinds = {}
-            for kind, text in history(case, np.random.default_rng(number)):
+            for kind, text in history(good, change, np.random.default_rng(number)):
                 Path(name, "car.py").write_text(text, encoding="utf-8")
                 git("add", "car.py")
                 git("commit", "-qm", kind)
                 kinds[git("rev-parse", "HEAD")] = kind
             begin = time.perf_counter()
-            words = ["bisect", f"HEAD~{COMMITS}", "HEAD", "--json", "-q", "--", "--controller", "car.py:Car"]
-            command = [sys.executable, "-m", "skd_evaluator", *words, "--seed", str(number)]
+            options = ["--json", "-q", "--", "--controller", "car.py:Car", "--seed", str(number)]
+            command = [sys.executable, "-m", "skd_evaluator", "bisect", f"HEAD~{COMMITS}", "HEAD", *options]
             done = subprocess.run(command, cwd=name, capture_output=True, text=True)
             seconds = time.perf_counter() - begin
         found = json.loads(done.stdout or '{"first_bad": null, "tested": []}')
         kinds_found.append(kinds.get(found["first_bad"], "none"))
         same = sum("bit" in one["why"] for one in found["tested"])
-        print(f"| {case.name} | {kinds_found[-1]} | {len(found['tested'])} | {same} | {seconds:.0f} |", flush=True)
+        print(f"| {case} | {kinds_found[-1]} | {len(found['tested'])} | {same} | {seconds:.0f} |", flush=True)
     right, blamed = kinds_found.count("regression"), kinds_found.count("refactoring")
     print(f"\nright {right} of {len(kinds_found)}, refactorings blamed {blamed}")
 
@@ -169,8 +154,8 @@ def versions(cars: Sequence[str], count: int) -> Iterator[tuple[InProcessRunner,
 def null(count: int) -> None:
     """Print how often versions that change places at random are told apart, at any of 128 stops."""
     rng, used, told = np.random.default_rng(0), cases(REGRESSIONS, 20), 0
-    for case in used:
-        with versions((case.good, case.bad), 128) as (runner, (good, bad)):
+    for _, car, change in used:
+        with versions((car, car.replace(*change)), 128) as (runner, (good, bad)):
             differences = PairedTest(good, bad, runner, 1.0).differences()
         signs = rng.choice([-1.0, 1.0], (count // len(used), len(differences)))
         told += sum(e_values(one * differences).max() >= 1.0 / ERROR for one in signs)
@@ -182,23 +167,23 @@ def null(count: int) -> None:
 def warm(count: int) -> None:
     """Print margins and candidates of searches from nothing, and from the hits of the version before."""
     print("| change | margin (m) | from hits (m) | candidates | from hits | times fewer |\n|---|---|---|---|---|---|")
-    ratios, above, used = [], [], cases(SMALL, count)
-    texts = list(dict.fromkeys(text for case in used for text in (case.good, case.bad)))
+    ratios, above = [], []
+    used = [(name, good, good.replace(*change)) for name, good, change in cases(SMALL, count)]
+    texts = list(dict.fromkeys(text for _, *both in used for text in both))
     with versions(texts, 8) as (runner, made):
         rounds = in_processes(runner, lambda *_: None)
         trials = {text: one.plan.trials(one.safe, 4) for text, one in zip(texts, made, strict=True)}
         cold = {text: search_margins(some, {}, rounds, IN_PROCESS) for text, some in trials.items()}
-        for case in used:
-            pairs = zip(trials[case.bad], cold[case.good].episodes, strict=True)
+        for name, good, bad in used:
+            pairs = zip(trials[bad], cold[good].episodes, strict=True)
             hits = [prescribed(one, hit.safe_trajectory.positions) for one, hit in pairs if hit is not None]
-            logs = {log.episode.episode_id: log for log in runner.run(hits)}
-            earlier = Earlier(logs, cold[case.good].means[-1][1])
-            whole, found = cold[case.bad], search_margins(trials[case.bad], {}, rounds, WARM_START, earlier)
+            earlier = Earlier({log.episode.episode_id: log for log in runner.run(hits)}, cold[good].means[-1][1])
+            whole, found = cold[bad], search_margins(trials[bad], {}, rounds, WARM_START, earlier)
             before, after = whole.means[-1][1], found.means[-1][1]
             ratios.append(whole.driven / found.driven)
             above.append(after / before - 1.0)
             row = f"{before:.3f} | {after:.3f} | {whole.driven:,} | {found.driven:,} | {ratios[-1]:.1f}"
-            print(f"| {case.name} | {row} |", flush=True)
+            print(f"| {name} | {row} |", flush=True)
     print(f"\ntimes fewer: median {np.median(ratios):.1f}, least {min(ratios):.1f}; ", end="")
     print(f"at most 1 % greater: {sum(one <= 0.01 for one in above)} of {len(above)}; greatest {max(above):.1%}")
 
@@ -207,9 +192,9 @@ def main() -> None:
     """Run one of the three."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("histories", "null", "warm"))
-    parser.add_argument("--count", type=int, metavar="N")
+    parser.add_argument("--count", type=int, metavar="N", help="by default 30 histories, 1000 null ones, 21 versions")
     arguments = parser.parse_args()
-    run, usual = {"histories": (histories, 30), "null": (null, 1000), "warm": (warm, 20)}[arguments.what]
+    run, usual = {"histories": (histories, 30), "null": (null, 1000), "warm": (warm, 21)}[arguments.what]
     run(arguments.count or usual)
 
 

@@ -43,7 +43,7 @@ HISTORY = {  # what each commit changes, and its message
     "more words": [("src/team/cars.py", CAR.replace("aside", "left"))],
     "notes": [("notes.md", "nothing of the car\n")],
 }
-OPTIONS = ("--", "--controller", "team.cars:Brake", "--safe-count", "24", "--seed", "3")
+OPTIONS = ("--", "scripts/skd", "assess", "--controller", "team.cars:Brake", "--safe-count", "24", "--seed", "3")
 
 
 def git(repository: Path, *words: str) -> str:

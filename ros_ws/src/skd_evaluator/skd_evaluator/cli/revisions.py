@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import itertools
 import os
 import re
 import shutil
@@ -176,14 +177,14 @@ class Repository:
             yield found
 
 
-def assess_request(words: Sequence[str]) -> argparse.Namespace:
-    """Return the options of `skd assess` that some words give, which may begin with its name.
+def assess_request(words: Sequence[str], defaults: Sequence[str] = ()) -> argparse.Namespace:
+    """Return the options of `skd assess` that some words give, which may begin with its name, and others by default.
 
     Raises:
         UsageError: one of them does not go with revisions.
     """
-    given = [word for word in words if word not in ("skd", "assess")]
-    request = parse(make_parser(["assess"]), ["assess", *given])
+    given = itertools.dropwhile(lambda word: not word.startswith("-"), words)
+    request = parse(make_parser(["assess"]), ["assess", *defaults, *given])
     if request.graph or not is_own_world(request.simulator):
         raise UsageError("cars of revisions run in process and in SKD's own world: leave out --graph and --simulator")
     return request

@@ -194,7 +194,7 @@ def _opened(arguments: argparse.Namespace, progress: Progress) -> Iterator[_Bise
     from skd_evaluator.margin.paired_test import PairedTest, level_of
     from skd_evaluator.provenance import environment
 
-    request = assess_request([*_DEFAULTS, *arguments.words])
+    request = assess_request(arguments.words, _DEFAULTS)
     if request.safe == OWN:
         raise UsageError(f"--safe {OWN}: the trials have to be the same for all revisions; give another source")
     repository = Repository(request.controller)
