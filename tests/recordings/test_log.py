@@ -176,6 +176,31 @@ def test_conflicts_are_ranked_exported_and_rated_the_same_again(tmp_path: Path, 
         assert hit.distance == pytest.approx(row["margin"], abs=1e-9)
 
 
+def test_a_car_of_a_file_is_searched_for_and_exported_with_the_whole_path(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    car = "class Never:\n    def reset(self, *_): pass\n    def command(self, *_): return 0.0\n"
+    Path("never.py").write_text(car, encoding="utf-8")
+    written(tmp_path / "drive.csv", crossing(1.4))
+    words = [
+        "--controller",
+        "never.py:Never",
+        "--margin-limit",
+        "16",
+        "--export",
+        "1",
+        "--workers",
+        "1",
+        "--out",
+        "out",
+    ]
+    assert main(["log", "drive.csv", *words]) == 0
+    assert "at most 0.2" in capsys.readouterr().out  # from 0.25 m beyond the side of the car that passes
+    (cell,) = read_campaign(tmp_path / "out" / "campaign.yaml")
+    assert cell.values["controller"] == f"{tmp_path}/never.py:Never"
+
+
 def test_the_margin_is_that_of_the_true_scenario(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     written(tmp_path / "drive.csv", crossing(1.0))
     words = ["--controller", "basic", "--multiplier", "1.15", "--workers", "1", "--out", str(tmp_path / "out")]

@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
         _print(rows, arguments.controller)
         warn("log", [*damage.lines, *(f"{what}: left out: {why}" for what, why in left_out)])
         if worst and not problem:
-            print(f"next: skd campaign run {out.path / CAMPAIGN}")
+            print(f"next: skd campaign {out.path / CAMPAIGN}")
 
     return finish(arguments, content, show, failures=[problem])
 
@@ -156,7 +156,7 @@ def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
     cells = []
     for row in rows[:_SHOWN]:
         speed, impact = ("" if (one := row[key]) is None else f"{3.6 * one:.0f}" for key in ("speed", "impact_speed"))
-        margin = "" if row["margin"] is None else f"{row['margin']:.2f}"
+        margin = "" if row["margin"] is None else f"{'' if row['exact'] else 'at most '}{row['margin']:.2f}"
         bounds = f"{row['least']:.2f} to {row['most']:.2f}"
         where = (escape(row["drive"]), escape(row["user"]), f"{row['nearest']:.2f}", speed)
         cells.append([*where, margin, impact, f"{row['recorded']:.2f}", bounds, escape(row["why"])])

@@ -49,6 +49,7 @@ class Conflict:
         safe: φ in that scenario.
         gap: from the front of the car to where φ crosses its line when it begins, m; None where it is not driven again.
         margin: of the car under test, m; None where none was computed.
+        exact: whether it is exact; else it was searched for, and is at most so much.
         impact_speed: of the car under test in the hit of the margin, m/s; None without any.
     """
 
@@ -65,6 +66,7 @@ class Conflict:
     safe: Trajectory | None = None
     gap: float | None = None
     margin: float | None = None
+    exact: bool | None = None
     impact_speed: float | None = None
 
     @property
@@ -171,6 +173,8 @@ def _conflict(
     times = np.arange(begin, min(approach.last + request.within, user.times[-1], car.times[-1]), FINE)
     driven = _pointing(states_at(car, times, gap, CAR_SMOOTHED), request.reference)
     seen = states_at(user, times, gap)[:, :2]
+    first = int(np.argmax(np.isfinite(np.column_stack([driven, seen])).all(axis=1)))
+    times, driven, seen = times[first:], driven[first:], seen[first:]
     apart = _clearance(request.scenario, driven, seen)
     nearest = float(times[int(np.nanargmin(np.where(driven[:, 3] > _DRIVES, apart, np.inf)))])
     until = times <= nearest + _AFTER
@@ -178,7 +182,7 @@ def _conflict(
     found = Conflict(
         drive.name,
         user.name,
-        car.origin + begin,
+        car.origin + float(times[0]),
         car.origin + nearest,
         float(driven[0, 3]),
         *_bounds(request, driven, seen),

@@ -60,8 +60,9 @@ def with_margins(
     hits = runner.map(_least, [(trial, limit) for trial in trials])
     for count, (trial, hit) in enumerate(zip(trials, hits, strict=True), start=1):
         margin = trial.scenario.eta_max if hit is None else min(hit.distance, trial.scenario.eta_max)
-        row = trial.episode_id
-        found[row] = replace(found[row], margin=margin, impact_speed=None if hit is None else hit.impact_speed)
+        row, exact = trial.episode_id, has_exact_margin(car, trial.scenario)
+        speed = None if hit is None else hit.impact_speed
+        found[row] = replace(found[row], margin=margin, exact=exact, impact_speed=speed)
         progress(LABEL, count, len(trials))
     return found
 
@@ -101,7 +102,8 @@ def export(folder: Path, conflicts: Sequence[Conflict], controller: str | None, 
         (inside / TRAJECTORY).write_text("\n".join(["t,x,y", *rows, ""]), encoding="utf-8")
         beside = {"scenario": f"{inside.name}/{SCENARIO_FILE}", "safe": f"{inside.name}/{TRAJECTORY}"}
         cells.append({"name": inside.name, **beside})
-    car: dict[str, Any] = {"controller": controller or "basic"}
+    file, of_file, name = (controller or "basic").rpartition(".py:")
+    car: dict[str, Any] = {"controller": f"{Path(file).resolve()}{of_file}{name}" if of_file else name}
     if car["controller"] == "basic":
         car["multiplier"] = multiplier
     few = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1}
