@@ -61,7 +61,7 @@ def add_log(parser: Parser) -> None:
     text = "how far ahead both are predicted, s"
     add_value(which, "--within", text, type=real_number(0.5, 30.0), default=4.0, metavar="S")
     text = "earliest reaction, for the upper bound: a full brake so long after the road user leaves its path, s"
-    add_value(which, "--reaction", text, type=real_number(0.0, 10.0), default=0.5, metavar="S")
+    add_value(which, "--reaction", text, type=real_number(0.0, 10.0), default=0.1, metavar="S")
     add_count(
         which, "--export", 0, 10_000, "write so many of the worst as scenarios with a campaign of them", default=0
     )

@@ -94,7 +94,7 @@ class ConflictRequest:
 
     scenario: Scenario
     within: float = 4.0
-    reaction: float = 0.5
+    reaction: float = 0.1
     longest_gap: float = 0.5
     reference: float = 0.0
 

@@ -67,16 +67,22 @@ def with_margins(
     return found
 
 
+def least_deviation(trial: EpisodeSpec, limit: int) -> Hit | None:
+    """Return the hit of least deviation in a trial, for which so many candidates may be driven; None: none was found.
+
+    It is exact where the car is known, else the best that was found.
+    """
+    if has_exact_margin(trial.car, trial.scenario):
+        return exact_or_found(trial)
+    return search_margins([trial], {}, one_by_one, IN_PROCESS._replace(limit=limit)).hits[0]
+
+
 def _least(work: tuple[EpisodeSpec, int]) -> Hit | None:
-    """Return the hit of least deviation in a trial, in a worker."""
     return isolated(work[0].car.user_code, _least_here, work)
 
 
 def _least_here(work: tuple[EpisodeSpec, int]) -> Hit | None:
-    trial, limit = work
-    if has_exact_margin(trial.car, trial.scenario):
-        return exact_or_found(trial)
-    return search_margins([trial], {}, one_by_one, IN_PROCESS._replace(limit=limit)).hits[0]
+    return least_deviation(*work)
 
 
 def export(folder: Path, conflicts: Sequence[Conflict], controller: str | None, multiplier: float) -> None:
