@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 from skd_sim.controllers.carla_agent import sub_steps
-from skd_sim.controllers.emergency_brakes import PUBLISHED, IdmConstants, idm_acceleration
+from skd_sim.controllers.reference_drivers import PUBLISHED, IdmConstants, idm_acceleration
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame
 from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled

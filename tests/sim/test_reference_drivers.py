@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from skd_sim.controllers.emergency_brakes import idm_acceleration
 from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import with_control_period
-from skd_sim.controllers.reference_drivers import RelativeState
+from skd_sim.controllers.reference_drivers import RelativeState, idm_acceleration
 from skd_sim.options.car_under_test import REFERENCE_DRIVERS
 from skd_sim.scenario.scenario import changed_scenario, load_scenario
 from skd_sim.world.state import AdversaryState, CarState, Scene

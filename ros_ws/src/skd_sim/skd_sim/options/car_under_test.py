@@ -50,10 +50,10 @@ _REFERENCE = {
     "reg157": "reference_drivers:Reg157",
     "rss": "reference_drivers:RssDriver",
     "fsm": "reference_drivers:FuzzyDriver",
-    "aeb_berkeley": "emergency_brakes:BerkeleyBrake",
-    "aeb_honda": "emergency_brakes:HondaBrake",
-    "aeb_mazda": "emergency_brakes:MazdaBrake",
-    "idm": "emergency_brakes:IdmDriver",
+    "aeb_berkeley": "reference_drivers:BerkeleyBrake",
+    "aeb_honda": "reference_drivers:HondaBrake",
+    "aeb_mazda": "reference_drivers:MazdaBrake",
+    "idm": "reference_drivers:IdmDriver",
 }
 REFERENCE_DRIVERS = tuple(_REFERENCE)
 """Published driver models that a car is compared with."""
