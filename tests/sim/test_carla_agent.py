@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from skd_sim.controllers.carla_agent import (
     DRAG,
@@ -171,6 +171,7 @@ def test_pedals_conversion(acceleration: float) -> None:
 
 
 @given(placement=PLACEMENTS, vx=st.floats(-3.0, 3.0), vy=st.floats(-3.0, 3.0))
+@example(placement=Placement(0.0, 0.0, 0.0), vx=5e-324, vy=5e-324)
 def test_walker_control(placement: Placement, vx: float, vy: float) -> None:
     x, y, speed = walker_control((vx, vy), placement)
     assert math.hypot(x, y) == pytest.approx(1.0)

@@ -121,9 +121,8 @@ def steer(angle: float, full_lock: float) -> float:
 
 def walker_control(velocity: tuple[float, float], placement: Placement) -> tuple[float, float, float]:
     """Return where an adversary on foot goes for a velocity in the crossing's frame: direction (x, y), speed, m/s."""
-    speed = math.hypot(*velocity)
-    ahead = (1.0, 0.0) if speed == 0.0 else (velocity[0] / speed, velocity[1] / speed)
-    return (*placement.vector_to_map(*ahead), speed)
+    direction = math.atan2(velocity[1], velocity[0])
+    return (*placement.vector_to_map(math.cos(direction), math.sin(direction)), math.hypot(*velocity))
 
 
 CARLA = "carla"
