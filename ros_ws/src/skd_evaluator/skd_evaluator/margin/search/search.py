@@ -25,8 +25,8 @@ from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess, Search
 
 CHANGE: Final = 0.02
-"""Of the mean, below which it may have converged: in the last two doublings, and in the three beyond of trials that are
-searched deeper."""
+"""Of the mean, below which it may have converged: in each of the last two doublings, and in the three beyond of trials
+that are searched deeper."""
 DEEPER: Final = 8
 """Times as deep some trials are searched, or all where they are few."""
 DEEP_TRIALS: Final = 20
@@ -141,7 +141,8 @@ def search_margins(
         if searched.is_done:
             return searched.result(True, budget, None, means)
         last, latest = 2 * budget > limit, [mean for _, mean in means[1:]]
-        steady = searched.has_all_hits and len(latest) > 2 and _near(latest[-1], latest[-3])
+        small = [_near(after, before) for before, after in itertools.pairwise(latest[-3:])]
+        steady = searched.has_all_hits and len(small) == 2 and all(small)
         if earlier is not None and budget < _AT_LEAST:
             steady &= earlier.mean is not None and abs(latest[-1] - earlier.mean) <= _UNCHANGED * earlier.mean
         good = False
