@@ -358,7 +358,7 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     (size,) = found["sizes"]
     assert size["episodes"] == 100 * size["safe"]
     assert size["width"] <= 0.1
-    assert "assumed" in found["source"]
+    assert "basic car" in found["source"]
     assert found["figure"] == "margin"
     assert main(["compare", "--width", "0.1", "--figure", "deviation"]) == 0
     assert capsys.readouterr().out.startswith("deviation: ")

@@ -55,7 +55,7 @@ def test_the_law_is_that_of_the_paper_when_it_has_its_constants(car, speed, dist
         "COMFORT_ACC_MIN": -treiber.PUBLISHED.braking,
         "DISTANCE_WANTED": treiber.PUBLISHED.standing_gap,
         "TIME_WANTED": treiber.PUBLISHED.headway,
-        "DELTA": treiber.EXPONENT,
+        "DELTA": 4.0,
     }
     approach = speed - walking
     desired_gap = ours["DISTANCE_WANTED"] + speed * treiber.PUBLISHED.headway
