@@ -33,7 +33,7 @@ from skd_sim.world.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
 LITTLE = Effort(16, 64)
-LONG = Effort(256, 512)
+LONG = Effort(64, 128)
 
 
 class Delayed(BasicController):

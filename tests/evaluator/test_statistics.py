@@ -361,7 +361,7 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert "basic car" in found["source"]
     assert found["figure"] == "margin"
     assert main(["compare", "--width", "0.1", "--figure", "deviation"]) == 0
-    assert capsys.readouterr().out.startswith("deviation: ")
+    assert "Standard deviation of deviation: " in capsys.readouterr().out
     assert main(["compare", "--difference", "0.1", "--power", "0.9"]) == 0
     shown = capsys.readouterr().out
     assert "on the same φ" in shown

@@ -42,7 +42,7 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
         "--adversary-model",
         "generic",
         "--margin-limit",
-        512,
+        256,
     )
     graph = skd("assess", "--graph", *car, *COUNTS, "--record", "--out", tmp_path / "graph")
     assert graph.code == 0, graph.err
