@@ -364,7 +364,7 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert "Standard deviation of deviation: " in capsys.readouterr().out
     assert main(["compare", "--difference", "0.1", "--power", "0.9"]) == 0
     shown = capsys.readouterr().out
-    assert "on the same φ" in shown
+    assert "C = 1 and 1.05" in shown
     assert main(["compare", "--width", "0.1", "--figure", "skd"]) == 2
     assert "--figure skd needs a result" in capsys.readouterr().err
     assert main(["compare", "--width", "1e-12"]) == 2
