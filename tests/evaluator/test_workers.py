@@ -2,6 +2,8 @@
 
 import os
 import signal
+import struct
+import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -140,6 +142,30 @@ def test_work_under_way_is_dropped_where_the_block_is_left_by_an_error():
         interrupted()
     assert _is_gone(workers[0])
     assert time.monotonic() - begin < 500.0
+
+
+def begin_a_result(file: Path) -> None:
+    """Write the first bytes of a result, as a worker that is killed on the way has."""
+    frame = sys._getframe()
+    while frame is not None and "result_queue" not in frame.f_locals:
+        frame = frame.f_back
+    if frame is None:
+        return  # done again, in a process of its own
+    os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000) + b"half")
+    file.touch()
+    time.sleep(600)
+
+
+def test_workers_that_are_ended_within_a_result_are_not_waited_for(tmp_path):
+    runner = InProcessRunner(2)
+    runner.start()
+    asking = threading.Thread(target=lambda: list(runner.map(begin_a_result, [tmp_path / "begun"])), daemon=True)
+    asking.start()
+    wait_until((tmp_path / "begun").exists)
+    closing = threading.Thread(target=runner.close, kwargs={"wait": False}, daemon=True)
+    closing.start()
+    closing.join(10.0)
+    assert not closing.is_alive()
 
 
 def test_workers_end_with_a_parent_that_is_killed(tmp_path):
