@@ -165,7 +165,7 @@ def true_trial(truth: Truth, user: str, begins: float, period: float | None) -> 
 
 def margin_of(trial: EpisodeSpec) -> float:
     """Return the margin of a trial, m."""
-    hit = least_deviation(trial, 512)
+    hit = least_deviation(512, trial)
     return trial.scenario.eta_max if hit is None else min(hit.distance, trial.scenario.eta_max)
 
 

@@ -16,6 +16,24 @@ SMALL = [
     *("--margin-limit", "8", "--behaviour", "none"),
 ]
 """An assessment of hardly any episodes: those of the search for the margin and of the risk would be most of it."""
+BRAKE = '''
+class {name}:
+    """Brakes for whoever will be in front of it within a time to collision."""
+
+    limit = 1.4
+
+    def reset(self, scenario, rng):
+        pass
+
+    def command(self, car, adversary):
+        gap = adversary.y - car.y - 2.25
+        if gap < 0.0 or car.speed <= 0.0:
+            return 0.0
+        time = gap / car.speed
+        aside = adversary.x + adversary.vx * min(time, 1.4)
+        return -7.0 if time < self.limit and abs(aside) < {side} else 0.0
+'''
+"""A car whose `name`, and the half width (m) that it looks at, are filled in."""
 CROSSING = "t,x,y\n0,-3,0\n2,3,0\n"
 CONTROLLERS = """
 import os, sys, time

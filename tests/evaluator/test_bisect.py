@@ -7,29 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_support import SMALL, one_line, skd
+from cli_support import BRAKE, SMALL, one_line, skd
 from skd_evaluator import load_result
 from skd_evaluator.cli.main import main
 from skd_evaluator.margin.paired_test import ERROR, SCALE, e_values, level_of
 
-CAR = '''
-import limits
-
-
-class Brake:
-    """Brakes for whoever will be in front of it within a time to collision."""
-
-    def reset(self, scenario, rng):
-        pass
-
-    def command(self, car, adversary):
-        gap = adversary.y - car.y - 2.25
-        if gap < 0.0 or car.speed <= 0.0:
-            return 0.0
-        time = gap / car.speed
-        aside = adversary.x + adversary.vx * min(time, 1.4)
-        return -7.0 if time < 1.4 and abs(aside) < limits.SIDE else 0.0
-'''
+CAR = "import limits\n\n" + BRAKE.format(name="Brake", side="limits.SIDE")
 HISTORY = {  # what each commit changes, and its message
     "start": [("src/team/__init__.py", ""), ("src/team/cars.py", CAR), ("lib/limits.py", "SIDE = 1.5\n")],
     "other words": [("src/team/cars.py", CAR.replace("time", "after"))],
@@ -97,7 +80,7 @@ def test_the_commit_is_found_and_shown_by_a_trial(repository, tmp_path):
     content = json.loads(found.stdout)
     assert content["first_bad"] == git(repository, "rev-parse", "worse")
     verdicts = {one["commit"]: one for one in content["tested"]}
-    assert verdicts[git(repository, "rev-parse", "mended")]["why"] == "drives as a version that is judged, to the bit"
+    assert verdicts[git(repository, "rev-parse", "mended")]["why"] == "drives exactly like a revision that is judged"
     (trial,) = (tmp_path / "out").glob("*/trajectory.csv")
     assert content["only_one_hits"]["folder"] == trial.parent.name
     assert "'team.cars:Brake'" in (trial.parent / "test_hit.py").read_text()
@@ -106,15 +89,15 @@ def test_the_commit_is_found_and_shown_by_a_trial(repository, tmp_path):
     again = bisect(repository, "start", "notes", "--out", str(tmp_path / "again"), "--json")
     tested = json.loads(again.stdout)["tested"]
     judged = {one["why"] for one in tested if one["verdict"] != "skip"}
-    assert judged == {"has the content of a version that is judged"}
+    assert judged == {"has the same files as a revision that is judged"}
 
 
 @pytest.mark.parametrize(
     ("commit", "code", "why"),
     [
-        ("start", 0, "good, has the content"),
+        ("start", 0, "good, has the same files"),
         ("other-words", 0, "good, "),
-        ("more-words", 1, "bad, has the content"),
+        ("more-words", 1, "bad, has the same files"),
         ("broken", 125, "skip, "),
         ("stands", 125, "skip, "),
     ],
@@ -128,7 +111,7 @@ def test_the_commit_that_is_checked_out_is_judged_for_git_bisect_run(repository,
 def test_what_cannot_be_bisected_ends_in_one_line(repository, tmp_path):
     out = ("--out", str(tmp_path / "out"))
     one_line(bisect(repository, "more-words", "notes", *out), 2, "have the same files")
-    one_line(bisect(repository, "start", "nowhere", *out), 2, "nowhere")
+    one_line(bisect(repository, "start", "nowhere", *out), 2, "nowhere: no such commit")
     one_line(skd("bisect", "start", "notes", *out, "--", "--graph", cwd=repository), 2, "--graph")
     one_line(skd("bisect", "start", "notes", *out, cwd=repository), 2, "--controller basic: give one of your own")
     assert bisect(repository, "start", "nowhere", "--here").returncode == 128

@@ -9,28 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_support import skd
+from cli_support import BRAKE, skd
 from skd_evaluator import load_result
 from skd_evaluator.margin.distinguishing_trial import distinguishing_trials
 from skd_sim.world.episode import Mode
 
-CARS = '''
-class Before:
-    """Brakes for whoever will be in front of it within a time to collision."""
-
-    limit = 1.4
-
-    def reset(self, scenario, rng):
-        pass
-
-    def command(self, car, adversary):
-        gap = adversary.y - car.y - 2.25
-        if gap < 0.0 or car.speed <= 0.0:
-            return 0.0
-        time = gap / car.speed
-        aside = adversary.x + adversary.vx * min(time, 1.4)
-        return -7.0 if time < self.limit and abs(aside) < 1.5 else 0.0
-
+CARS = (
+    BRAKE.format(name="Before", side=1.5)
+    + '''
 
 class After(Before):
     limit = 1.1
@@ -42,6 +28,7 @@ class Same(Before):
     def command(self, car, adversary):
         return super().command(car, adversary)
 '''
+)
 SMALL = ("--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "1", "--margin-limit", "8", "--seed", "5")
 ONCE = ("--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--margin-limit", "0", "--seed", "5")
 GENERIC = ("--adversary-model", "generic", "--behaviour", "none", "-q")

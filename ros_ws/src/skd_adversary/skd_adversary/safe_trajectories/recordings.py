@@ -109,6 +109,12 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
             raise UsageError(f"{path}: not a text file in UTF-8") from error
 
 
+def write_trajectory(path: Path, times: FloatArray, positions: FloatArray) -> None:
+    """Write times (s) and positions (n × 2, m) as csv that `--safe` reads; numbers come back to the last bit."""
+    rows = zip(times.tolist(), positions.tolist(), strict=True)
+    path.write_text("t,x,y\n" + "".join(f"{time!r},{x!r},{y!r}\n" for time, (x, y) in rows), encoding="utf-8")
+
+
 def resample(times: FloatArray, positions: FloatArray, time_step: float) -> FloatArray:
     """Interpolate positions linearly at times[0] + k·time_step, up to the last time.
 

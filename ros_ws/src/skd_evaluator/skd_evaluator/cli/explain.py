@@ -10,15 +10,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from skd_sim.inputs.yaml_file import to_yaml
 from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
 
 from skd_evaluator import palette
 from skd_evaluator.margin.distinguishing_trial import DistinguishingTrial
 from skd_evaluator.report.episode_pictures import ShownEpisode, save_episode, save_picture
-from skd_evaluator.report.repeat import SCENARIO_FILE, program
+from skd_evaluator.report.repeat import SCENARIO_FILE, TRAJECTORY_FILE, program, write_trial
 
-TRAJECTORY_FILE = "trajectory.csv"
 _TEST = '''"""A road user {deviation:.2f} m from a safe trajectory: the car must not hit it.
 
 Run pytest where skd was run: a car's file is named from there.
@@ -103,12 +101,7 @@ class Explanation:
         trial, episode, folder = self.trial, self.trial.hits.episode, out / self.folder
         assert episode.safe_trajectory is not None
         folder.mkdir()
-        step, scenario = trial.scenario.time_step, trial.scenario.as_dict()
-        scenario.pop("control_period", None)  # it comes with the controller
-        (folder / SCENARIO_FILE).write_text(to_yaml(scenario), encoding="utf-8")
-        places = enumerate(episode.safe_trajectory.positions.tolist())
-        rows = [f"{tick * step!r},{x!r},{y!r}" for tick, (x, y) in places]
-        (folder / TRAJECTORY_FILE).write_text("\n".join(["t,x,y", *rows, ""]), encoding="utf-8")
+        write_trial(folder, trial.scenario, episode.safe_trajectory)
         car = repr(self._car(trial)) + (f", multiplier={episode.multiplier!r}" if episode.car.has_multiplier else "")
         text = _TEST.format(deviation=trial.hit.distance, seed=episode.seed, car=car)
         (folder / "test_hit.py").write_text(text, encoding="utf-8")

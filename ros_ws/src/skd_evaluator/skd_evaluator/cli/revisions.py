@@ -89,7 +89,11 @@ class Repository:
         Raises:
             UsageError: there is none.
         """
-        return self.git("rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}")
+        words = ("rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}")
+        found = self.git(*words, fine=(0, 1))
+        if not found:
+            raise UsageError(f"{revision}: no such commit in {self.top}")
+        return found
 
     def subject(self, commit: str) -> str:
         """Return a commit's short hash, and what it says in its first line."""

@@ -83,7 +83,7 @@ class Version:
 
     Attributes:
         name: of the version, in messages.
-        key: tells its content from that of others.
+        key: digest of its files.
         plan: has the car.
         safe: φ of each trial, the same for all versions.
     """
@@ -171,12 +171,12 @@ class PairedTest:
         verdict. One that fails is skipped.
 
         Args:
-            key: tells its content from that of others.
+            key: digest of its files.
             make: returns it.
         """
         verdicts = self.known["verdicts"]
         if word := verdicts.get(key):
-            return Judgement(word, "has the content of a version that is judged")
+            return Judgement(word, "has the same files as a revision that is judged")
         try:
             return self._found(make())
         except (UsageError, AssessmentError) as error:
@@ -185,7 +185,7 @@ class PairedTest:
     def _found(self, version: Version) -> Judgement:
         verdicts, driven = self.known["verdicts"], self._driven(version)
         if driven in verdicts:
-            found = Judgement(verdicts[driven], "drives as a version that is judged, to the bit")
+            found = Judgement(verdicts[driven], "drives exactly like a revision that is judged")
         else:
             found = self._tested(version)
         verdicts |= {version.key: found.word, driven: found.word}

@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from skd_adversary.safe_trajectories.recordings import write_trajectory
+from skd_sim.inputs.yaml_file import to_yaml
 from skd_sim.options.adversary import AdversaryModel, default_adversary_model
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import Option, options_of
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.scenario.scenario_file import is_named
 from skd_sim.world.episode import Mode
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.options import CampaignOptions
 from skd_evaluator.assessment.plan import split_episode_id
@@ -21,6 +26,7 @@ from skd_evaluator.metrics.behaviour.model import load_behaviour
 
 SCENARIO_FILE, CAR_MODEL_FILE, BEHAVIOUR_FILE = "scenario.yaml", "car_model.yaml", "behaviour.yaml"
 """What a scenario, a car model and a behaviour model are called that only the results have: who repeats saves them."""
+TRAJECTORY_FILE = "trajectory.csv"
 CONTROLLER_COMMAND = "COMMAND"
 PROGRAM = "SKD_PROGRAM"
 """Variable in which `scripts/skd` says what was typed."""
@@ -72,6 +78,15 @@ def files_of(figures: Mapping[str, Any], words: Sequence[str]) -> dict[str, Any]
         BEHAVIOUR_FILE: (figures.get("risk") or {}).get("behaviour"),
     }
     return {name: content for name, content in contents.items() if name in words}
+
+
+def write_trial(folder: Path, scenario: Scenario, trajectory: Trajectory) -> None:
+    """Write a scenario, and the road user's trajectory, as the files that `--scenario` and `--safe` take."""
+    data = scenario.as_dict()
+    data.pop("control_period", None)  # it comes with the controller
+    (folder / SCENARIO_FILE).write_text(to_yaml(data), encoding="utf-8")
+    times = trajectory.time_step * np.arange(len(trajectory.positions), dtype=np.float64)
+    write_trajectory(folder / TRAJECTORY_FILE, times, trajectory.positions)
 
 
 def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> list[str]:

@@ -332,8 +332,8 @@ class InProcessRunner(Workers):
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         try:
             pool.submit(os.getpid)  # the first task has all of them forked
-            # Only workers write results. Were this end open here, too, whoever reads would wait for ever for the rest
-            # of a message that a worker had begun when it was ended.
+            # Only workers write results. Close the parent's copy: with it open the pool's thread would wait for the
+            # rest of a message whose writer was killed, and never see the end of the pipe.
             vars(pool._result_queue)["_writer"].close()
         except BaseException:  # no descriptor or process is left for another one
             _end(pool)

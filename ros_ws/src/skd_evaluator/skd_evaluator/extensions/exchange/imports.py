@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.recordings import in_car_frame
+from skd_adversary.safe_trajectories.recordings import in_car_frame, write_trajectory
 from skd_adversary.safe_trajectories.sources import safe_trajectory
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
@@ -84,10 +84,8 @@ class ImportedTrajectory:
         return "; ".join(filter(None, (rate, gaps if seen["gaps"] else "no gaps", self.placed, self.cut)))
 
     def write(self, path: Path) -> None:
-        """Write it as csv with the columns t, x, y, which `--safe` reads; numbers come back to the last bit."""
-        rows = zip(self.times.tolist(), self.places.tolist(), strict=True)
-        lines = ["t,x,y", *(f"{time!r},{x!r},{y!r}" for time, (x, y) in rows)]
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        """Write it as csv with the columns t, x, y, which `--safe` reads."""
+        write_trajectory(path, self.times, self.places)
 
 
 def trajectory_of(

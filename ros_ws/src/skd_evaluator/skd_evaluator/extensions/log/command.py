@@ -20,7 +20,7 @@ from skd_evaluator.cli.arguments import (
     result_folder,
     runner_of,
 )
-from skd_evaluator.cli.output import finish, warn
+from skd_evaluator.cli.output import finish
 from skd_evaluator.cli.parser import Parser
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def add_log(parser: Parser) -> None:
     text = "road, shapes, braking and kind of road user of each conflict (default: %(default)s)"
     add_value(car, "--scenario", text, default="crossing", metavar="NAME")
     where = parser.add_argument_group("recordings")
-    text = "which object is the car that drove: a topic, /tf:FRAME or id (default: the only Odometry, else base_link)"
+    text = "topic, /tf:FRAME or id of the car that drove (default: the only Odometry, base_link, or car)"
     add_value(where, "--car", text, metavar="NAME")
     add_value(where, "--map-frame", "frame to which tf brings all objects (default: that of the car)", metavar="FRAME")
     add_value(where, "--tf-topic", "topic of a bag's transforms", default="/tf", metavar="TOPIC")
@@ -83,8 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.version import version
 
     damage, scenario = Damage(skip=True), _checked(arguments, load_scenario(arguments.scenario))
-    gap, reference = arguments.longest_gap, arguments.reference
-    request = ConflictRequest(scenario, arguments.within, arguments.reaction, gap, reference)
+    gap, known = arguments.longest_gap, 0
+    request = ConflictRequest(scenario, arguments.within, arguments.reaction, gap, arguments.reference)
     drives = DriveRequest(arguments.car, arguments.map_frame, arguments.tf_topic, gap)
     out = result_folder(arguments)
     found: list[Conflict] = []
@@ -93,6 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         runner.start()
         for number, drive in enumerate(read_drives(arguments.paths, drives, damage), start=1):
             if isinstance(drive, RecordedDrive):
+                known += 1
                 found += conflicts_in(drive, request)
                 left_out += [(f"{drive.name}, {name}", why) for name, why in drive.left_out]
             else:
@@ -121,12 +122,15 @@ def run(arguments: argparse.Namespace) -> int:
     problem = out.save(write)
 
     def show() -> None:
-        _print(rows, arguments.controller)
-        warn("log", [*damage.lines, *(f"{what}: left out: {why}" for what, why in left_out)])
+        if known:
+            _print(rows, arguments.controller)
+        if not problem:
+            print(f"results in {out.path}")
         if worst and not problem:
             print(f"next: skd campaign {out.path / CAMPAIGN}")
 
-    return finish(arguments, content, show, failures=[problem])
+    warnings = [*damage.lines, *(f"{what}: left out: {why}" for what, why in left_out)]
+    return finish(arguments, content, show, warnings, [problem, None if known else "no recording could be read"])
 
 
 def _checked(arguments: argparse.Namespace, scenario: Scenario) -> Scenario:

@@ -21,6 +21,7 @@ from skd_evaluator.bags.tracks import TABLE_CAR, TF, Listed, Track, bag_objects,
 SMOOTHED, CAR_SMOOTHED = 1.0, 2.0
 """s over which a parabola is fitted to positions of a road user, and of the car, whose speed decides most."""
 _FEWEST = 5  # positions of a piece without a gap
+_NAMED = 8  # ids in a message
 _OWN = 1.0  # m: what is nearer to the car's reference point all the time is the car itself
 
 
@@ -33,14 +34,12 @@ class DriveRequest:
         map_frame: frame in which tracks of bags are taken; None: the car's.
         tf: topic of a bag's transforms.
         longest_gap: time over which nothing is filled in, s.
-        reference: how far ahead of the middle of the car the tracked point is, m.
     """
 
     car: str | None = None
     map_frame: str | None = None
     tf: str = TF
     longest_gap: float = 0.5
-    reference: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +111,8 @@ def _table(path: Path, car: str) -> tuple[Track, list[Track | Listed]]:
     found = table_tracks(path)
     own = found.pop(car, None)
     if not isinstance(own, Track):
-        raise UsageError(f"{path}: {own.why if own else f'has no car {car!r}; name it by --car'}")
+        known = ", ".join(sorted(found)[:_NAMED])
+        raise UsageError(f"{path}: {own.why if own else f'has no id {car!r}; name the car by --car: {known}'}")
     return own, list(found.values())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.world.episode import EpisodeSpec, Mode
 
 from skd_evaluator.assessment.context import Progress
-from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.margin import LABEL, exact_or_found
 from skd_evaluator.extensions.log.conflicts import Conflict
@@ -22,9 +22,9 @@ from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import IN_PROCESS, search_margins
 from skd_evaluator.metrics.deviation import Hit
-from skd_evaluator.report.repeat import SCENARIO_FILE
+from skd_evaluator.report.repeat import SCENARIO_FILE, TRAJECTORY_FILE, write_trial
 
-CAMPAIGN, TRAJECTORY = "campaign.yaml", "trajectory.csv"
+CAMPAIGN = "campaign.yaml"
 
 
 def with_margins(
@@ -57,7 +57,7 @@ def with_margins(
         for row, one in enumerate(found)
         if one.scenario is not None
     ]
-    hits = runner.map(_least, [(trial, limit) for trial in trials])
+    hits = runner.map(partial(_isolated, limit), trials)
     for count, (trial, hit) in enumerate(zip(trials, hits, strict=True), start=1):
         margin = trial.scenario.eta_max if hit is None else min(hit.distance, trial.scenario.eta_max)
         row, exact = trial.episode_id, has_exact_margin(car, trial.scenario)
@@ -67,7 +67,7 @@ def with_margins(
     return found
 
 
-def least_deviation(trial: EpisodeSpec, limit: int) -> Hit | None:
+def least_deviation(limit: int, trial: EpisodeSpec) -> Hit | None:
     """Return the hit of least deviation in a trial, for which so many candidates may be driven; None: none was found.
 
     It is exact where the car is known, else the best that was found.
@@ -77,12 +77,8 @@ def least_deviation(trial: EpisodeSpec, limit: int) -> Hit | None:
     return search_margins([trial], {}, one_by_one, IN_PROCESS._replace(limit=limit)).hits[0]
 
 
-def _least(work: tuple[EpisodeSpec, int]) -> Hit | None:
-    return isolated(work[0].car.user_code, _least_here, work)
-
-
-def _least_here(work: tuple[EpisodeSpec, int]) -> Hit | None:
-    return least_deviation(*work)
+def _isolated(limit: int, trial: EpisodeSpec) -> Hit | None:
+    return isolated(trial.car.user_code, partial(least_deviation, limit), trial)
 
 
 def export(folder: Path, conflicts: Sequence[Conflict], controller: str | None, multiplier: float) -> None:
@@ -100,14 +96,9 @@ def export(folder: Path, conflicts: Sequence[Conflict], controller: str | None, 
         assert one.safe is not None
         inside = folder / f"conflict_{number:03}"
         inside.mkdir()
-        scenario = one.scenario.as_dict()
-        scenario.pop("control_period", None)  # it comes with the controller
-        write_json(inside / SCENARIO_FILE, scenario)  # JSON is YAML
-        ticks = enumerate(one.safe.positions.tolist())
-        rows = [f"{tick * one.safe.time_step!r},{x!r},{y!r}" for tick, (x, y) in ticks]
-        (inside / TRAJECTORY).write_text("\n".join(["t,x,y", *rows, ""]), encoding="utf-8")
-        beside = {"scenario": f"{inside.name}/{SCENARIO_FILE}", "safe": f"{inside.name}/{TRAJECTORY}"}
-        cells.append({"name": inside.name, **beside})
+        write_trial(inside, one.scenario, one.safe)
+        files = {"scenario": f"{inside.name}/{SCENARIO_FILE}", "safe": f"{inside.name}/{TRAJECTORY_FILE}"}
+        cells.append({"name": inside.name, **files})
     file, of_file, name = (controller or "basic").rpartition(".py:")
     car: dict[str, Any] = {"controller": f"{Path(file).resolve()}{of_file}{name}" if of_file else name}
     if car["controller"] == "basic":
