@@ -450,7 +450,7 @@ FIGURES = (
     Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve"))),
            lambda a: a.vulnerability and a.vulnerability.as_dict(),
            "share of trials with a hit within a deviation of eta, m; null: no kamikazes of objective deviation"),
-    Figure("seconds", Kind(ref("number"), "s"), lambda a: a.seconds,
+    Figure("seconds", Kind(ref("number"), "s"), lambda a: round(a.seconds, 3),
            "wall-clock time of the command, of a sweep of this car, s", _SETTING, recomputed=False, campaign=24),
     Figure("seed", COUNT, lambda a: a.plan.seed, "of all random draws", _SETTING, compare=22, junit=10),
     Figure("car", TEXT, lambda a: a.plan.car.label, "name of the car in tables", _SETTING,

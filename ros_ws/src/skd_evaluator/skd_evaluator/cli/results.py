@@ -58,7 +58,7 @@ def print_result(
         print_json(result)
     else:
         print_tables(result, details=arguments.details)
-        seconds = f"{assessment.seconds:.1f} s"
+        seconds = f"{result['seconds']:.1f} s"
         more = "" if arguments.details else "; --details prints every figure, SKD among them"
         print(seconds if problem else f"{seconds}; results in {out.path}{more}")
     warnings = warnings_of(assessment, said=said)

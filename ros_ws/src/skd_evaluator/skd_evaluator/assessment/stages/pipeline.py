@@ -50,7 +50,7 @@ def run_stages(context: Context, assessment: Assessment) -> Assessment:
     begin = time.perf_counter()
     for stage in stages():
         assessment = stage(context, assessment)
-    return replace(assessment, seconds=round(assessment.seconds + time.perf_counter() - begin, 3))
+    return replace(assessment, seconds=assessment.seconds + time.perf_counter() - begin)
 
 
 def assess_in_process(context: Context, assessment: Assessment) -> Assessment:
