@@ -3,6 +3,7 @@
 import os
 import signal
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -166,6 +167,26 @@ def test_workers_that_are_ended_within_a_result_are_not_waited_for(tmp_path):
     closing.start()
     closing.join(10.0)
     assert not closing.is_alive()
+
+
+BUSY = """
+import threading, time
+from skd_evaluator.assessment.run.workers import InProcessRunner
+
+def sleeps(item):
+    time.sleep(600)
+
+runner = InProcessRunner(2)
+runner.start()
+work = [b"more than a pipe holds" * 10_000] * 20
+threading.Thread(target=lambda: list(runner.map(sleeps, work)), daemon=True).start()
+time.sleep(1.0)
+runner.close(wait=False)
+"""
+
+
+def test_work_that_no_worker_has_taken_does_not_delay_the_end():
+    subprocess.run([sys.executable, "-c", BUSY], timeout=60, check=True, stderr=subprocess.DEVNULL)
 
 
 def test_workers_end_with_a_parent_that_is_killed(tmp_path):

@@ -164,9 +164,7 @@ def test_conflicts_are_ranked_exported_and_rated_the_same_again(tmp_path: Path, 
     margins = [row["margin"] for row in rows]
     assert margins == sorted(margins)
     assert margins[-1] > 0.0
-    assert [(one["what"], "--car: 7" in one["why"]) for one in content["left_out"]] == [
-        ("no_car", True)
-    ]
+    assert [(one["what"], "--car: 7" in one["why"]) for one in content["left_out"]] == [("no_car", True)]
     assert main(["log", str(tmp_path / "no_car.csv"), "--out", str(tmp_path / "nothing")]) == 1
     assert "no recording could be read" in capsys.readouterr().err
     cells = read_campaign(out / "campaign.yaml")

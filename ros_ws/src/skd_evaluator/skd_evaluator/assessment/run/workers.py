@@ -393,6 +393,8 @@ class InProcessRunner(Workers):
 
 def _end(pool: ProcessPoolExecutor) -> None:
     """End the workers of a pool, whatever they are at."""
+    # Python would wait at its end until the rest of the work is in a pipe that nobody reads (gh-94777).
+    vars(pool)["_call_queue"].cancel_join_thread()
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
