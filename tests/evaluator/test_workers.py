@@ -14,7 +14,7 @@ import pytest
 from common import wait_until
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, Workers, do, in_background
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Mode, Outcome, kind_of
 
@@ -150,8 +150,7 @@ def begin_a_result(file: Path) -> None:
     frame = sys._getframe()
     while frame is not None and "result_queue" not in frame.f_locals:
         frame = frame.f_back
-    if frame is None:
-        return  # done again, in a process of its own
+    assert frame is not None
     os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000) + b"half")
     file.touch()
     time.sleep(600)
@@ -160,13 +159,22 @@ def begin_a_result(file: Path) -> None:
 def test_workers_that_are_ended_within_a_result_are_not_waited_for(tmp_path):
     runner = InProcessRunner(2)
     runner.start()
-    asking = threading.Thread(target=lambda: list(runner.map(begin_a_result, [tmp_path / "begun"])), daemon=True)
+    errors: list[OutOfReachError] = []
+
+    def ask():
+        with pytest.raises(OutOfReachError, match="the workers have ended") as raised:
+            list(runner.map(begin_a_result, [tmp_path / "begun"]))
+        errors.append(raised.value)
+
+    asking = threading.Thread(target=ask, daemon=True)
     asking.start()
     wait_until((tmp_path / "begun").exists)
     closing = threading.Thread(target=runner.close, kwargs={"wait": False}, daemon=True)
     closing.start()
     closing.join(10.0)
     assert not closing.is_alive()
+    asking.join(10.0)
+    assert errors  # and the item is not tried again
 
 
 BUSY = """

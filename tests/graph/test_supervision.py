@@ -1,6 +1,7 @@
 """Processes that cannot start or hang, and states that are lost or contradict the world."""
 
 import dataclasses
+import gc
 import os
 import re
 import shlex
@@ -16,9 +17,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from common import PATIENCE, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import of_node, whole_graph
+from rclpy.context import Context
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
@@ -155,3 +158,16 @@ def test_a_publisher_whose_process_has_died_is_none(monkeypatch: pytest.MonkeyPa
     assert not discovery.living_publishers(node, "/topic"), "they have been seen"
     found["/topic"].append(endpoint("far", dead.pid, host=2))
     assert [one.name for one in discovery.living_publishers(node, "/topic")] == ["/far"]
+
+
+def test_a_forked_process_leaves_the_nodes_of_its_parent_alone() -> None:
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("forgotten", context=context)
+    vars(node)["itself"] = node  # so that only the garbage collector takes it down
+    del node
+    if (child := os.fork()) == 0:
+        gc.collect()
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    rclpy.shutdown(context=context)

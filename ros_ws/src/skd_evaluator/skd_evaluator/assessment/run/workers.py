@@ -377,6 +377,9 @@ class InProcessRunner(Workers):
         self, work: Callable[[Any], Any], items: Sequence[Any], lost: Callable[[Any, str], Any], error: Exception
     ) -> Iterator[Any]:
         """Yield the results of items in a process apart: all in one if that survives, or else each by itself."""
+        with self._lock:
+            if self._pool is None:  # it was ended by `close`
+                raise OutOfReachError("the workers have ended") from error
         for chunk in (items, *([one] for one in items)) if len(items) > 1 else (items,):
             try:
                 done = isolated("worker", partial(do, work), chunk)
