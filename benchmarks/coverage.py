@@ -29,8 +29,8 @@ from skd_evaluator.metrics.frechet import warped_distance
 from skd_evaluator.metrics.sample_size import expected_width, narrow_enough, nominal_confidence
 from skd_evaluator.metrics.skd import bound_interval
 from skd_evaluator.metrics.statistics import frechet_probability_bound, normal_interval, wilson_interval
-from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
+from skd_sim.world.state import FloatArray
 from tally import Tally
 
 PRIORS = {"deviation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}

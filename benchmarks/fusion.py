@@ -26,8 +26,8 @@ from fusion_trials import FIGURES as PLAYED
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fused_figure
 from skd_evaluator.extensions.fusion.trials import FIGURES, Pairs, TrialFigure
 from skd_evaluator.metrics.sample_size import nominal_confidence
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.world.state import FloatArray
 
 Draw = Callable[[np.random.Generator, int, int], tuple[FloatArray, list[FloatArray]]]
 """Given a generator, N and n: simulated figures of N φ, and physical figures of the first n, per φ."""

@@ -28,10 +28,9 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.extensions.log.margins import least_deviation
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import changed_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 FORMATS = ("mcap", "sqlite", "ros1", "csv")
 CONFLICTS, CYCLE, TICK, STEP = 20, 14.0, 0.01, 0.3

@@ -31,9 +31,8 @@ from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yards
 from skd_evaluator.metrics.clustered import MARGINS, clustered_mean
 from skd_evaluator.metrics.margins import equivalent_multiplier
 from skd_evaluator.metrics.statistics import normal_interval
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 from tally import Tally
 
 SIZES = ((10, 25), (20, 25))

@@ -19,9 +19,8 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import exact_margins, warm_up_margins
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import variance_components
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 CARS = (1.0, 1.05)
 

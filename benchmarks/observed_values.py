@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.pomdp.model import Pomdp
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import bound, kernel, template, unbound
+from skd_sim.world.state import FloatArray, IntArray
 
 _CHUNK = 4096  # states whose outcomes are drawn at a time
 _SAMPLES = 32  # of the step, for each state and action

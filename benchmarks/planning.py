@@ -25,7 +25,7 @@ from problems.tiger import tiger
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions, play
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 ON_FOOT = {"child": 2.0, "runner": 3.0}  # m/s², in any direction
 WHEELED = {  # m/s² to speed up, to brake, to the side; rad in a tick; m of the tightest circle

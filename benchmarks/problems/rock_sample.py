@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_adversary.pomdp.model import Pomdp
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import FloatArray, IntArray
 
 NORTH, EAST, SOUTH, WEST, SAMPLE = range(5)
 CHECK: Final = 5  # the first of k

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_adversary.pomdp.model import Pomdp
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import FloatArray
 
 LISTEN, OPEN_LEFT, OPEN_RIGHT = range(3)
 DISCOUNT: Final = 0.95

@@ -12,9 +12,9 @@ from problems import tiger as benchmark
 from problems.tiger import LISTEN, TigerParameters
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED
 from skd_adversary.pomdp.model import Pomdp
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.contact import first_contact
+from skd_sim.world.state import FloatArray
 
 
 @kernel

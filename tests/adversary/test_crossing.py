@@ -34,14 +34,13 @@ from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner, PlannerOptions
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.basic import BasicController
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.adversary import OBJECTIVES
 from skd_sim.scenario.road import road_position
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import CarState, Trajectory
+from skd_sim.world.state import CarState, FloatArray, Trajectory
 from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")

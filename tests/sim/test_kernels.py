@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from common import PATIENCE
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import digest_of, kernel
 from skd_sim.kernels.stream import Stream, stream_of
+from skd_sim.world.state import FloatArray
 
 NUMBERS = """
 GRAVITY = 9.81

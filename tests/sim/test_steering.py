@@ -16,14 +16,13 @@ from skd_evaluator.assessment.stages.kamikazes import with_steering
 from skd_evaluator.metrics.contact_place import car_at_contact
 from skd_evaluator.metrics.deviation import hit_of
 from skd_evaluator.metrics.price_of_caution import lanes_left
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.dynamics.basic import SIDE_GRIP, STEERING_LIMIT, STEERING_RATE, BasicCar, Noise, wheels
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState, Trajectory
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, Trajectory
 
 CROSSING = load_scenario("crossing")
 WIDE = replace(CROSSING, road=replace(CROSSING.road, lane_width=20.0))

@@ -11,13 +11,12 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.options.car_under_test import BASIC, DEFAULT, DYNAMICS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
-from skd_sim.world.state import CarState, Trajectory
+from skd_sim.world.state import CarState, FloatArray, Trajectory
 
 from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar, car_model_text, fitted_car
 from skd_adversary.car_models.forest import TICK, gridded, pack

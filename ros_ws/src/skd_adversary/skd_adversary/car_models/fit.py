@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import BoolArray, FloatArray, IntArray
 
 from skd_adversary.car_models.car_model_file import (
     OPTIONAL,

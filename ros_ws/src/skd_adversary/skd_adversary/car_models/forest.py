@@ -16,9 +16,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import BoolArray, FloatArray
 
 from skd_adversary.car_models.observations import Observations
 

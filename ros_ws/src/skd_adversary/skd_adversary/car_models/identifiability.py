@@ -16,8 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from skd_sim.arrays import FloatArray
-from skd_sim.world.state import braking_distance
+from skd_sim.world.state import FloatArray, braking_distance
 
 from skd_adversary.car_models.car_model_file import CarParameter, ParameterPrior
 

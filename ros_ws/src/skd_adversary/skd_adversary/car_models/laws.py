@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
-from skd_sim.arrays import BoolArray, FloatArray, IntArray
+from skd_sim.world.state import BoolArray, FloatArray, IntArray
 
 from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FamilyRow
 from skd_adversary.car_models.identifiability import LEVEL, IntervalEstimate, marginal_estimate, step_estimate

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.world.state import BoolArray, FloatArray, IntArray
 
 _ASIDE = 0.3  # m
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
-from skd_sim.arrays import BoolArray, FloatArray
+from skd_sim.world.state import BoolArray, FloatArray
 
 from skd_adversary.car_models.identifiability import IntervalEstimate, marginal_estimate
 from skd_adversary.car_models.observations import Observations

@@ -21,12 +21,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.basic import basic_acceleration
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import draw_relative, next_speed, travelled
+from skd_sim.world.state import FloatArray, draw_relative, next_speed, travelled
 
 from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FittedCar
 from skd_adversary.car_models.forest import features_of, leaf_of

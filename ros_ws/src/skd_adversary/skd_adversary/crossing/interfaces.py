@@ -19,13 +19,12 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Final, Protocol, cast
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import Template, bound, kernel, unbound
 from skd_sim.kernels.compilation import template as template
 from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import runs_into
-from skd_sim.world.state import CarState
+from skd_sim.world.state import CarState, FloatArray
 
 from skd_adversary.pomdp.planner import Backup, Cells, PlannerOptions
 

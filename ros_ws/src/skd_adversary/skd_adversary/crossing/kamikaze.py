@@ -23,9 +23,9 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import FloatArray
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,

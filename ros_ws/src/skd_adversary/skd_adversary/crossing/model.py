@@ -13,10 +13,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import bound
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import FloatArray
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,

@@ -25,11 +25,11 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.adversary import OBJECTIVES
 from skd_sim.world.contact import runs_into
+from skd_sim.world.state import FloatArray
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import FloatArray
 
 
 @kernel(inline=True)

@@ -15,12 +15,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
+from skd_sim.world.state import FloatArray
 
 from skd_adversary.crossing.interfaces import USER_ROW, Pair, RoadUserKernels, RoadUserModel, template
 

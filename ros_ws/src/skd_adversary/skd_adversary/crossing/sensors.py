@@ -13,11 +13,10 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance
-from skd_sim.world.state import CarState
+from skd_sim.world.state import CarState, FloatArray
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import bound, kernel, template, unbound
 from skd_sim.kernels.stream import stream_of
+from skd_sim.world.state import FloatArray
 
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.tree import IndexArray

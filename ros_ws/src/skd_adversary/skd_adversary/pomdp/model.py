@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import CompilationError
+from skd_sim.world.state import FloatArray
 
 
 @dataclass(frozen=True)

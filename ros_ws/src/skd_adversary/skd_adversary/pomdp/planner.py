@@ -26,9 +26,9 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import bound, kernel, template, unbound
 from skd_sim.kernels.stream import stream_of
+from skd_sim.world.state import FloatArray
 
 from skd_adversary.pomdp.belief import ParticleBelief, draw_sources
 from skd_adversary.pomdp.model import Pomdp

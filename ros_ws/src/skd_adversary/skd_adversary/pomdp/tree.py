@@ -21,8 +21,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, template, unbound
+from skd_sim.world.state import FloatArray
 
 Float32Array = npt.NDArray[np.float32]
 Int32Array = npt.NDArray[np.int32]

@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, check_trajectory
 from skd_sim.world.contact import first_contact, to_car_frame
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_adversary.crossing.road_users import PEDESTRIAN
 from skd_adversary.safe_trajectories.recordings import (

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, open_regular
 from skd_sim.inputs.yaml_file import short
+from skd_sim.world.state import FloatArray, IntArray
 
 LONGEST_HOLE: Final = 0.6
 """s without a row, up to which a straight line says where a pedestrian was."""

@@ -8,13 +8,12 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario, check_trajectory, start_clearance
 from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select

@@ -9,10 +9,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.world.episode import EpisodeLog, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.episode_figures import Surrogates, lane_left, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, Of, entries, figures_html

@@ -14,11 +14,10 @@ from itertools import pairwise
 from typing import Any, Final, TextIO
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import beyond, right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, Outcome
-from skd_sim.world.state import RoadUserState
+from skd_sim.world.state import FloatArray, RoadUserState
 
 from skd_evaluator.assessment.plan import split_episode_id
 from skd_evaluator.assessment.plausibility import between

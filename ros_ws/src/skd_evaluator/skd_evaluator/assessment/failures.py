@@ -22,10 +22,10 @@ from typing import Final
 
 import numpy as np
 import scipy
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Role, generator
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES, OF_PERSON, OF_TICK, normals_of, smooth, walked

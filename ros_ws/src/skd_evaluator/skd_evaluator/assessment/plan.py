@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import check_kind
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.protocol import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import check_adversary_model
@@ -29,7 +28,7 @@ from skd_sim.options.options import shared_options
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.options import WALKERS, CampaignOptions
 from skd_evaluator.metrics.behaviour.model import load_behaviour

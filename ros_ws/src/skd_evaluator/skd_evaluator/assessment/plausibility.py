@@ -17,14 +17,13 @@ from skd_adversary.crossing.model import choices
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.basic import BasicController
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import beyond, road_position
 from skd_sim.scenario.road_user import Body
 from skd_sim.world.contact import rectangle_distance, sweep, to_car_frame
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.state import AdversaryState, on_grid
+from skd_sim.world.state import AdversaryState, FloatArray, on_grid
 from skd_sim.world.world import World, make_world
 
 ROUNDING = 1e-9

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_adversary.safe_trajectories.recordings import csv_rows, header_of
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.ros.from_messages import from_stamp
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.messages import Condition, Received, read_messages, shortened

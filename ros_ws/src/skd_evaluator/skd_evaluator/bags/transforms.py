@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.errors import UsageError
+from skd_sim.world.state import BoolArray, FloatArray, IntArray
 
 _DEEPEST = 30  # frames above each other
 _SAME = 1e-3  # m, and rad, by which two fixed transforms may differ

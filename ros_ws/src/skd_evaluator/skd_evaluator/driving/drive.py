@@ -19,14 +19,13 @@ from typing import Final
 
 import numpy as np
 from skd_adversary.adversary import Adversary
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.loading import make_controller
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, NamedSimulator
 from skd_sim.world.dynamics.basic import Command, as_pair
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
-from skd_sim.world.state import CarState, RoadUserState
+from skd_sim.world.state import CarState, FloatArray, RoadUserState
 
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation

@@ -16,8 +16,8 @@ import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road_user import Body
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator import palette
 from skd_evaluator.driving.drive import Situation

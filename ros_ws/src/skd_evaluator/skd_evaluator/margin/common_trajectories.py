@@ -13,12 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.compare.comparability import refusals
 from skd_evaluator.assessment.compare.gate import Check, not_worse

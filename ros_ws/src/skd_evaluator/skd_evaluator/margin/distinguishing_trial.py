@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.context import Progress, Runner, silent
 from skd_evaluator.assessment.files.results import StoredResult

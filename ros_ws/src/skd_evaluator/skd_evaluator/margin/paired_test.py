@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.context import Progress, silent
 from skd_evaluator.assessment.plan import Plan

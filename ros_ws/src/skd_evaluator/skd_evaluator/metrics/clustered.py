@@ -30,7 +30,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 import scipy
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.statistics import (

@@ -28,13 +28,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.scenario.road import right_and_along, road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame
 from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
-from skd_sim.world.state import Trajectory, travelled
+from skd_sim.world.state import FloatArray, Trajectory, travelled
 
 from skd_evaluator.metrics.measures import Measure, Pair
 

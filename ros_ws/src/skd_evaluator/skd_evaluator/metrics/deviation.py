@@ -26,10 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.episode import EpisodeLog
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_evaluator.metrics.clustered import DISTANCES, GroupedMean
 

@@ -32,9 +32,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_evaluator.metrics.clustered import PREFIXES
 from skd_evaluator.metrics.measures import Measure, Pair

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import MARGINS, Clustered, clustered_mean
 from skd_evaluator.metrics.deviation import Hit

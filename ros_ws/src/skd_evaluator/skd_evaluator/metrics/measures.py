@@ -13,11 +13,10 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.registry import Registry, reason_of
 from skd_sim.world.episode import EpisodeLog
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.metrics.clustered import GroupedMean, Prior
 from skd_evaluator.metrics.entry import Entry

@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import EpisodeLog
+from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.metrics.clustered import clustered_mean, clustered_rate, student_quantile
 from skd_evaluator.metrics.entry import Entry, Share

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import Clustered, Prior, student_quantile
 from skd_evaluator.metrics.entry import Entry

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, GroupedMean, clustered_mean
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 import scipy
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 Interval = tuple[float, float]
 

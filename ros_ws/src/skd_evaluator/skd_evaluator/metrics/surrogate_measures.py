@@ -46,12 +46,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
-from skd_sim.world.state import CarState, RoadUserState
+from skd_sim.world.state import CarState, FloatArray, IntArray, RoadUserState
 
 from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scenes_of

@@ -14,10 +14,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import until_contact
+from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.metrics.contact_place import car_until_contact
 

@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import altair as alt
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.compare.comparison import MARGIN

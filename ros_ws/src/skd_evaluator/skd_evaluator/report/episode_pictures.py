@@ -19,13 +19,12 @@ from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.protocol import time_of_meeting
 from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance, to_car_frame
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator import palette
 from skd_evaluator.metrics.contact_place import outline_of

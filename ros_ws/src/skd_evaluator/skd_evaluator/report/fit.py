@@ -12,7 +12,7 @@ from rich.table import Table
 from skd_adversary.car_models.car_model_file import FittedCar
 from skd_adversary.car_models.fit import NEAR
 from skd_adversary.car_models.speed_change import LARGEST_NOISE
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.behaviour.model import MEANINGS, Behaviour
 from skd_evaluator.report.terminal import narrow_table

@@ -12,11 +12,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.assessment import Assessment, ObjectiveResult

@@ -19,7 +19,6 @@ from typing import Any, Final, NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers.basic import basic_acceleration
 from skd_sim.controllers.isolated import LostProcessError, isolated
 from skd_sim.kernels.compilation import kernel
@@ -27,7 +26,7 @@ from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep, to_car_frame
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelled
+from skd_sim.world.state import AdversaryState, FloatArray, IntArray, Trajectory, next_speed, travelled
 
 from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner

@@ -18,8 +18,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray
 from skd_sim.world.episode import Role, generator
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import OF_PERSON

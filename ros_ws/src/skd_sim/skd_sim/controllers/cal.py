@@ -27,13 +27,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.carla_agent import CONTROL_PERIOD, KILOMETRES_PER_HOUR, Pid, pedal_acceleration
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.sensors import FloatRanges, Scan
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.state import AdversaryState, CarState, FloatArray
 
 REACTION_TIME = 0.3  # s: one tick
 STANDOFF = 1.0  # m ahead of the bumper that stay free

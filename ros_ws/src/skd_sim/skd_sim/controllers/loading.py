@@ -15,7 +15,6 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.isolated import LOADING, begin_call, end_call
 from skd_sim.controllers.protocol import (
     Controller,
@@ -34,7 +33,7 @@ from skd_sim.options.registry import load, place_of, reason_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, steering_angle, wheels
 from skd_sim.world.sensors import Scan
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Scene
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, RoadUserState, Scene
 
 _Result = TypeVar("_Result")
 

@@ -13,11 +13,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import ConfigDict
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, limits
 from skd_sim.scenario.road import is_straight_north, right_and_along, road_position
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 _Bound = Annotated[float, limits(-500.0, 500.0, "m")] | None
 NOWHERE = (math.inf, -math.inf, math.inf, -math.inf)

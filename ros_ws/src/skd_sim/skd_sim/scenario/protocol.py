@@ -16,11 +16,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Protocol, Scenario
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 _ALONG = math.sin(math.radians(45.0))  # of who moves so or more along the lane, the place is across, not in time
 _LOOK, _HALVINGS = 0.02, 60  # s between two looks at where the car's front is, and how often that is halved

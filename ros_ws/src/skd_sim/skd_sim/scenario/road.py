@@ -16,10 +16,10 @@ from typing import Annotated
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OneOf, limits
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import FloatArray
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
 _JOINT = 1e-9  # m that a point may lie beyond a part, by rounding, and still belong to it

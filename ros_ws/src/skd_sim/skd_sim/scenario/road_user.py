@@ -14,11 +14,10 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OnLane, limits
 from skd_sim.options.registry import Registry
-from skd_sim.world.state import RoadUserState, on_grid, velocity_on_grid
+from skd_sim.world.state import FloatArray, RoadUserState, on_grid, velocity_on_grid
 
 HEIGHT = 1.8
 """How high a road user is drawn, m; nothing but pictures and boxes in messages depends on it."""

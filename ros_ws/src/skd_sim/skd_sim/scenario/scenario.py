@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OneOf, OnLane, YesNo, limits, read_model
 from skd_sim.options.car_under_test import BASIC, DYNAMICS
@@ -25,7 +24,7 @@ from skd_sim.scenario.road import HEADING_NORTH, Road, right_and_along, road_pos
 from skd_sim.scenario.road_user import Other, RoadUser
 from skd_sim.scenario.scenario_file import scenario_data
 from skd_sim.world.contact import clearance, rectangle_distance, runs_into, sweep, to_car_frame
-from skd_sim.world.state import AdversaryState, RoadUserState, Trajectory, braking_distance
+from skd_sim.world.state import AdversaryState, FloatArray, RoadUserState, Trajectory, braking_distance
 
 CONTROL_PERIODS = (0.001, 2.0)
 """Least and greatest time between two decisions of a car, s."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import FloatArray
 
 NO_CONTACT = math.inf
 

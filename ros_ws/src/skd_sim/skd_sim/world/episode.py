@@ -15,13 +15,12 @@ from enum import IntEnum, StrEnum
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import check_adversary_model
 from skd_sim.options.options import EpisodeOptions
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import AdversaryState, Trajectory
+from skd_sim.world.state import AdversaryState, FloatArray, Trajectory
 from skd_sim.world.timing import UNTIMED, Timing
 
 

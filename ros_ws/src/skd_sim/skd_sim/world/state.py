@@ -17,9 +17,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+"""Arrays under the names that all packages use."""
 
 
 class CarState(NamedTuple):

@@ -8,13 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import beyond, road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CarDynamics, Command, Noise, as_pair, command_limits, make_dynamics
 from skd_sim.world.episode import EpisodeSpec, Role, generator
-from skd_sim.world.state import AdversaryState, CarState, on_grid, velocity_on_grid
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, on_grid, velocity_on_grid
 
 
 class Contact(NamedTuple):

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.assessment.compare.comparability import (
     OF_SKD,

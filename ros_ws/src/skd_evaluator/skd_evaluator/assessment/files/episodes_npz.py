@@ -16,12 +16,11 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.adversary import BelievedCar
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, until_contact
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, ObjectiveResult
 from skd_evaluator.assessment.plan import EpisodeGroup, episode_id, split_episode_id

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, real_path
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.start import installing
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.assessment import CONFIDENCE, Assessment, KamikazeSet, ObjectiveResult, assessment_of
 from skd_evaluator.assessment.episode_figures import SURROGATES, command_age

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.state import AdversaryState, CarState, FloatArray
 from skd_sim.world.timing import UNTIMED, Timing, tick_stamp
 
 

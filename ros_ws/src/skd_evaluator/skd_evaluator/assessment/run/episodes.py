@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_adversary.crossing.path import path_velocities
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers.isolated import isolated
 from skd_sim.controllers.loading import UserController, make_controller
 from skd_sim.controllers.protocol import (
@@ -49,7 +48,7 @@ from skd_sim.world.episode import (
     generator,
 )
 from skd_sim.world.sensors import make_laser
-from skd_sim.world.state import AdversaryState, CarState, Scene
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, IntArray, Scene
 from skd_sim.world.world import first_car_state
 
 from skd_evaluator.assessment.plausibility import examine

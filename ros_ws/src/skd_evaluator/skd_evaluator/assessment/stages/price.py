@@ -13,12 +13,11 @@ from typing import Final
 
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
-from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import beside_road, right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Runner, stage

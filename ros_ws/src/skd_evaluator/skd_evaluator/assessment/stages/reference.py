@@ -14,14 +14,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.protocol import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
 from skd_sim.kernels.compilation import cache_folder
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.car_under_test import REFERENCE_DRIVERS, WORLD, CarUnderTest
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, stage

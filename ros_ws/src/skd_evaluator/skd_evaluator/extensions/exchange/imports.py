@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from skd_adversary.safe_trajectories.recordings import in_car_frame, write_trajectory
 from skd_adversary.safe_trajectories.sources import safe_trajectory
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.bags.tracks import GAP, Listed, RecordingFrame, Track
 from skd_evaluator.extensions.exchange.readers import TrackSource

@@ -20,9 +20,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import BSpline
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, is_there, read_xml
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.bags.tracks import Listed, Track, track_or_why
 

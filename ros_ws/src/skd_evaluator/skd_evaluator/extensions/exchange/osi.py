@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line, open_regular
 from skd_sim.start import installing
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.messages import read_messages

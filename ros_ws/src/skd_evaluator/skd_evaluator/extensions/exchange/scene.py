@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.road import ONCOMING, right_and_along, road_pose
 from skd_sim.scenario.road_user import CAR, Body, called, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, scene_of, velocities
 

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.inputs.files import one_line
 from skd_sim.scenario.road import ONCOMING, Road, right_and_along, road_curvature, road_pose
 from skd_sim.scenario.road_user import CAR, height_of
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.extensions.exchange.scene import (
     EGO,

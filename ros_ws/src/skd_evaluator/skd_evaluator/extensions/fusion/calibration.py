@@ -24,7 +24,6 @@ from typing import Any, Final
 import numpy as np
 from scipy import special
 from scipy.optimize import least_squares
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
 from skd_sim.scenario.road import right_and_along
@@ -32,7 +31,7 @@ from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.dynamics.basic import Command
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import CarState, Trajectory
+from skd_sim.world.state import CarState, FloatArray, Trajectory
 
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner

@@ -47,7 +47,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy import special
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import cluster_error, components_of, student_quantile
 from skd_evaluator.metrics.statistics import Interval, checked_confidence, score_interval

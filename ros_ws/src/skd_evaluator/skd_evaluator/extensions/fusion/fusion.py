@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.extensions.fusion.estimate import (
     LEAST_OF_EACH,

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean
 from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.files import find_recordings

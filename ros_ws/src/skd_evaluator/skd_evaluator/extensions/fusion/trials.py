@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 from skd_adversary.safe_trajectories.recordings import csv_rows, header_of
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, real_path
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
-from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import BoolArray, FloatArray, Trajectory
 
 from skd_evaluator.bags.tracks import Track
 from skd_evaluator.extensions.log.drives import CAR_SMOOTHED, RecordedDrive, states_at

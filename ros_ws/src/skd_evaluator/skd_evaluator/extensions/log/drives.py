@@ -11,8 +11,8 @@ import numpy as np
 from scipy.signal import savgol_filter
 from skd_adversary.safe_trajectories.citr import FRAME_RATE, Clip, ClipTrack, is_citr, read_clips
 from skd_adversary.safe_trajectories.recordings import header_of
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.files import find_recordings, holds_recordings, name_of

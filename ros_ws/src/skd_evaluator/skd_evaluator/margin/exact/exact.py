@@ -15,13 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers.basic import BasicController
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.contact import first_contact
 from skd_sim.world.episode import EpisodeSpec, controller_generator, controller_seed
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 from skd_sim.world.world import Contact, make_world
 
 from skd_evaluator.margin.actions import MOVE_COUNT, move_velocity, require_exact

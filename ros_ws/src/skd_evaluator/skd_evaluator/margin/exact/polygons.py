@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import FloatArray
 
 MOST = 96
 """Room for the points of a polygon."""

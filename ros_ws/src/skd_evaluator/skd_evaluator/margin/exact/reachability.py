@@ -18,10 +18,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.episode import EpisodeSpec, Role, generator
-from skd_sim.world.state import next_speed, travelled
+from skd_sim.world.state import FloatArray, IntArray, next_speed, travelled
 from skd_sim.world.world import make_world
 
 from skd_evaluator.margin.actions import MOVE_COUNT, move_velocity

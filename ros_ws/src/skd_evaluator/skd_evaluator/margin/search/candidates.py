@@ -12,10 +12,10 @@ import numpy as np
 from skd_adversary.crossing.model import RoadUserMotion, choices
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
-from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import BoolArray, FloatArray, IntArray
 
 from skd_evaluator.margin.actions import velocities
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.world.contact import sweep
 from skd_sim.world.episode import EpisodeSpec, Role, generator
+from skd_sim.world.state import FloatArray, IntArray
 from skd_sim.world.world import first_car_state
 
 from skd_evaluator.margin.search.candidates import ActionSpace

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import IntArray
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+from skd_sim.world.state import IntArray
 
 from skd_evaluator.margin.search.candidates import ActionSpace, Candidate, changed, excursion
 from skd_evaluator.margin.search.detours import detour, undisturbed_car

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.candidates import ActionSpace

@@ -6,11 +6,10 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.contact import rectangle_distance, to_car_frame
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_evaluator.margin.search.candidates import ENOUGH, ActionSpace, Candidate
 from skd_evaluator.metrics.deviation import Hit, hit_of

@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, is_there
 from skd_sim.inputs.model import Finite, Frozen, OneOf, read_model
 from skd_sim.inputs.yaml_file import read_yaml, to_yaml
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road_user import ROAD_USERS
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.behaviour import NO_BEHAVIOUR, WALKERS
 

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json, real_path
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Outcome
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, failing_episodes

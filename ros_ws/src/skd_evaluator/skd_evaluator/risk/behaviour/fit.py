@@ -31,7 +31,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 import scipy
-from skd_sim.arrays import FloatArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter, normals_of, walk_many
 

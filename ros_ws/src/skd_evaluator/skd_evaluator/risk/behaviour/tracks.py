@@ -11,9 +11,8 @@ import numpy as np
 from skd_adversary.safe_trajectories.citr import FRAME_RATE, is_citr, read_clips, world_frame
 from skd_adversary.safe_trajectories.recordings import LONGEST_HOLE, check_once, read_table, resample
 from skd_adversary.safe_trajectories.sources import check_track
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.world.state import Trajectory
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
 from skd_evaluator.bags.checks import Damage

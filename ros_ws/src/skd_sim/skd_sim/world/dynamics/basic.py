@@ -17,14 +17,13 @@ from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.stream import stream_of
 from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.options.registry import load
 from skd_sim.scenario.road import advanced, is_straight_north, road_curvature, road_pose, road_position
 from skd_sim.scenario.scenario import Car, Scenario
-from skd_sim.world.state import CarState, draw_relative, next_speed, on_grid, travelled
+from skd_sim.world.state import CarState, FloatArray, draw_relative, next_speed, on_grid, travelled
 
 
 class Noise(NamedTuple):

@@ -26,12 +26,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import GRAVITY, PEAK_FRICTION, Noise
-from skd_sim.world.state import CarState, draw_relative
+from skd_sim.world.state import CarState, FloatArray, draw_relative
 
 
 class Vehicle(NamedTuple):
