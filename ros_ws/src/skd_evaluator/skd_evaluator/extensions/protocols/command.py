@@ -22,7 +22,7 @@ from skd_evaluator.cli.arguments import (
     steps_of,
 )
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+from skd_evaluator.cli.parser import EXIT_FAILED, EXIT_INTERRUPTED, Parser
 from skd_evaluator.extensions.protocols.matrices import ProtocolMatrix, known_scenarios
 from skd_evaluator.extensions.protocols.regulations import NCAP, REGULATIONS
 
@@ -39,7 +39,7 @@ def add_protocol(parser: Parser) -> None:
 
     Run a protocol's static tests, test speeds × impact places, in which the target does what the protocol prescribes.
     Each cell has the impact speed, its colour or verdict, and the safety margin. So a test that is passed with little
-    room stands out. This is not an official rating (docs/campaigns.md).
+    room stands out. The exit code is 1 where a regulation is failed. This is no official rating (docs/campaigns.md).
     """
     parser.set_defaults(group="rate")
     names = "ncap (Euro NCAP 2026), r152, r152_first (UN R152: second and first step) or fmvss127"
@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
     touched = [cell.touched for grid in grids for cell in grid.cells]
     failures = [problem, "no test could be evaluated" if set(touched) <= {None} else None]
     code = finish(arguments, content, show, found.warnings, failures)
-    return 1 if not_credible(found.warnings) else code
+    return EXIT_FAILED if not_credible(found.warnings) or found.is_failed else code
 
 
 def sources_of(arguments: argparse.Namespace) -> Sequence[str | ProtocolMatrix]:

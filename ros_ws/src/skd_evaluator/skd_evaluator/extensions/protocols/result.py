@@ -173,6 +173,11 @@ class ProtocolResult(Frozen):
         return "Euro NCAP" if self.protocol == NCAP else REGULATIONS[self.protocol][0]
 
     @property
+    def is_failed(self) -> bool:
+        """Whether it is a regulation of which a test is failed."""
+        return self.protocol != NCAP and any(cell.colour == RED for grid in self.grids for cell in grid.cells)
+
+    @property
     def verdict(self) -> str:
         """Whether a regulation is fulfilled, of the tests that were run; empty for Euro NCAP, which has points."""
         cells = [cell for grid in self.grids for cell in grid.cells]
