@@ -198,10 +198,14 @@ def test_contact_lies_where_the_adversary_was(results):
 
 
 def test_every_array_and_code_is_described(results):
-    table = FILES[FILES.index("## episodes.npz") :]
-    for name, array in np.load(results / "episodes.npz").items():
-        (line,) = re.findall(rf"^\| `{name}` \|.*$", table, re.MULTILINE)
-        assert f"| {array.ndim}" in line or "single" in line, line
+    table = FILES[FILES.index("## episodes.npz") : FILES.index("## surrogate_measures.csv")]
+    arrays = np.load(results / "episodes.npz")
+    assert not set(arrays) - set(re.findall(r"`(\w+)`", table))
+    for rows in re.findall(r"^\*\*For each .*?\n\n.*?\n\n(.*?)\n\n", table, re.MULTILINE | re.DOTALL):
+        named = re.findall(r"`(\w+)`", "".join(line.split(" | ")[0] for line in rows.splitlines()))
+        lengths = {name: len(arrays[name]) for name in named if name in arrays}
+        assert len(lengths) > 3, named
+        assert len(set(lengths.values())) == 1, lengths
     for codes in (Mode, Outcome):
         for one in codes:
             if one != Outcome.RUNNING:
