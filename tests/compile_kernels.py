@@ -4,9 +4,11 @@ import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from typing import Any
 
 import numpy as np
 from skd_adversary.adversary import any_car_models, warm_up_episodes
+from skd_evaluator import assess
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.metrics.frechet import discrete_frechet
@@ -14,6 +16,7 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 
 CARS = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
 """Controllers and dynamics that nobody has modelled."""
+SMALL = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1, "simulations": 10, "margin_limit": 1, "workers": 1}
 
 
 def compile_planners(controller: str, dynamics: str) -> None:
@@ -22,7 +25,14 @@ def compile_planners(controller: str, dynamics: str) -> None:
 
 
 def compile_objective(objective: Objective, model: str) -> None:
-    InProcessRunner(1).start(warm_up_episodes(objective=objective, car_model=model))
+    """Compile the planners of an objective, against the basic car or a learned one, of which else nothing is known."""
+    car = "external" if model else "basic"
+    InProcessRunner(1).start(warm_up_episodes(car, objective=objective, car_model=model))
+
+
+def compile_assessment(**options: Any) -> None:
+    """Compile what measures, checks and searches besides the planners."""
+    assess(**SMALL, **options)
 
 
 def compile_distances() -> None:
@@ -37,6 +47,9 @@ def works() -> list[Callable[[], None]]:
     return [
         compile_distances,
         *(partial(compile_planners, *car) for car in CARS),
+        partial(compile_assessment),
+        partial(compile_assessment, controller="cal", adversary_model="generic"),
+        partial(compile_assessment, scenario="cyclist"),
         *(partial(compile_objective, *one) for one in planners),
     ]
 

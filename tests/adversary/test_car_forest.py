@@ -106,7 +106,7 @@ def test_the_law_stays_where_the_car_has_one() -> None:
     assert [one.model for one in car.predictions] == ["law", "forest"]
 
 
-@pytest.mark.parametrize("name", ["crossing", "right_turn", "cyclist"])
+@pytest.mark.parametrize("name", ["crossing", "right_turn"])
 def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
     """Many steps from one state: the shares of changes of speed are those that the donors' leaves have."""
     scenario = load_scenario(name)

@@ -260,9 +260,7 @@ MODELS = {
     "tiger": tiger(),
     "gaussian": tiger(gaussian=True),
     "ring": RING,
-    "leaf value": replace(RING, name="test_search_ring_value", leaf_value=ring_value),
-    "legal": replace(RING, name="test_search_ring_legal", legal=ring_legal),
-    "both": replace(RING, name="test_search_ring_both", leaf_value=ring_value, legal=ring_legal, discount=0.8),
+    "bounded": replace(RING, name="test_search_bounded", leaf_value=ring_value, legal=ring_legal, discount=0.8),
 }
 SMALL = PlannerOptions(
     simulations=150, depth=6, exploration=8.0, particles=40, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True

@@ -96,7 +96,6 @@ def test_the_commit_is_found_and_shown_by_a_trial(repository, tmp_path):
     ("commit", "code", "why"),
     [
         ("start", 0, "good, has the same files"),
-        ("other-words", 0, "good, "),
         ("more-words", 1, "bad, has the same files"),
         ("broken", 125, "skip, "),
         ("stands", 125, "skip, "),
@@ -138,7 +137,7 @@ def test_two_revisions_are_rated_with_the_same_options_and_compared(repository, 
 def test_a_night_in_which_nothing_changed_takes_the_result_over(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("skd_evaluator.provenance.git_revision", lambda *_: None)  # SKD's own files may be modified
-    words = ["assess", "--controller", "cal", *SMALL, "--adversary-model", "generic", "-q"]
+    words = ["assess", "--controller", "carla", *SMALL, "--adversary-model", "generic", "-q"]
     assert main([*words, "--out", "first"]) == 0
     assert main([*words, "--out", "second", "--warm-start", "first"]) == 0
     assert main([*words, "--out", "third", "--warm-start", "first", "--collision-runs", "4"]) == 0

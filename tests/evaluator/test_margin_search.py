@@ -147,7 +147,7 @@ def test_of_a_car_with_a_state_it_is_what_brute_force_finds(ticks, period, count
 
 def test_a_touch_that_is_too_slow_ends_the_episode():
     walked_in = 0
-    for number in (0, 6, 7):  # of which the sixth is touched too slowly
+    for number in (0, 6):  # of which the sixth is touched too slowly
         episode = short(number, 2)
         slow = replace(
             episode, scenario=replace(episode.scenario, collision=replace(CROSSING.collision, hit_speed=7.5))
@@ -236,7 +236,7 @@ def test_other_cars_and_roads_are_hit_as_the_search_says(controller, scenario):
     setting = Plan(load_scenario(scenario), controller=controller).scenario
     known = replace(kamikaze_episode(POINTS), adversary_model=AdversaryModel.GENERIC)
     episode = replace(known, scenario=setting, controller=controller)
-    (hit,) = searched([episode], LITTLE).hits
+    (hit,) = searched([episode], Effort(4, 16)).hits
     assert hit.distance == pytest.approx(deviation(POINTS, hit.trajectory.positions, hit.duration), abs=1e-12)
     assert hit.impact_speed >= setting.collision.hit_speed
 
@@ -268,11 +268,11 @@ def test_of_few_trials_what_the_last_doubling_brought_may_be_missing():
 
 def test_a_car_that_does_not_repeat_itself_is_noticed():
     driver = Driver(Moody())
-    margins = search_margins(episodes(1.0, 8), {}, driver.rounds, LITTLE)
-    assert confirmed(episodes(1.0, 8), margins, driver).count(None) > margins.hits.count(None)
+    margins = search_margins(episodes(1.0, 4), {}, driver.rounds, LITTLE)
+    assert confirmed(episodes(1.0, 4), margins, driver).count(None) > margins.hits.count(None)
     calm = Driver(BasicController(1.0))
-    margins = search_margins(episodes(1.0, 8), {}, calm.rounds, LITTLE)
-    again = [hit.distance for hit in confirmed(episodes(1.0, 8), margins, calm) if hit]
+    margins = search_margins(episodes(1.0, 4), {}, calm.rounds, LITTLE)
+    again = [hit.distance for hit in confirmed(episodes(1.0, 4), margins, calm) if hit]
     assert again == pytest.approx([hit.distance for hit in margins.hits if hit], abs=1e-12)
 
 
@@ -304,7 +304,9 @@ def test_no_hit_beyond_eta_max_counts():
         (hit,) = searched([episode], Effort(32, 64)).hits
         if hit is not None:
             found.append(hit.distance)
-    assert len(found) >= 2
+        if len(found) == 2:
+            break
+    assert len(found) == 2
     assert max(found) <= 2.0
     assert min(found) > 3.5 - 0.9 - math.hypot(2.25, 0.9)  # as far aside as a box reaches, at most
 
@@ -321,7 +323,7 @@ def test_along_the_lane_the_search_finds_the_exact_margin():
 
 
 def test_from_the_hits_of_an_earlier_version_the_same_margin_takes_a_quarter():
-    trials, car = episodes(1.0, 24), Driver(Delayed())
+    trials, car = episodes(1.0, 12), Driver(Delayed())
     whole = search_margins(trials, {}, car.rounds, IN_PROCESS._replace(limit=256))
     hits = [prescribed(one, hit.safe_trajectory.positions) for one, hit in zip(trials, whole.episodes, strict=True)]
     logs = {log.episode.episode_id: log for log in car.run(hits)}
@@ -336,10 +338,10 @@ def test_from_the_hits_of_an_earlier_version_the_same_margin_takes_a_quarter():
 def test_an_assessment_says_from_which_result_its_search_began(tmp_path):
     small = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 1, "margin_limit": 8, "behaviour": "none"}
     small["adversary_model"] = "generic"
-    first = assess("cal", out=tmp_path / "first", **small).as_dict()
-    second = assess("cal", warm_start=str(tmp_path / "first"), **small).as_dict()
+    first = assess("carla", out=tmp_path / "first", **small).as_dict()
+    second = assess("carla", warm_start=str(tmp_path / "first"), **small).as_dict()
     assert second["margin_how"] == f"from the hits of {tmp_path / 'first'} on"
     assert not first["margin_how"]
     assert second["margin"] <= first["margin"]
     with pytest.raises(UsageError, match="has no margin on these φ with this seed"):
-        assess("cal", warm_start=str(tmp_path / "first"), seed=1, **small)
+        assess("carla", warm_start=str(tmp_path / "first"), seed=1, **small)
