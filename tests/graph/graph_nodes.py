@@ -115,6 +115,7 @@ def evaluator(
 
 
 if os.environ.get(_PRELOAD):
+    importlib.import_module("shortened").shorten()
     for _module in NODES:
         importlib.import_module(_module)
     importlib.import_module(ADVERSARY).warm_up()

@@ -1,16 +1,13 @@
 """Bags of a graph, and their recorder."""
 
 from pathlib import Path
-from typing import Any, cast
 
 import pytest
 from graph_support import Campaign, assert_same_results, skd_here
-from rclpy.node import Node
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from skd_evaluator.ros.recording import BagRecorder
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
 TOPICS = {
@@ -108,25 +105,3 @@ def test_each_of_several_campaigns_can_be_replayed(campaigns, tmp_path, capsys):
     for name, live in zip(names, (campaigns[0.5], campaigns[1.0]), strict=True):
         assert skd_here(capsys, "replay", *both, "--campaign", name, "--out", tmp_path / name).code == 0
         assert_same_results(tmp_path / name, live.graph)
-
-
-START, TICKS, PERIODS = 1_000_000_000, 3, 3
-DRIVE, WALK = "/cmd_vel", "/adversary/velocity_command"
-
-
-class Names:
-    """A node as far as a recorder asks it: for names, and for subscriptions on which nothing comes."""
-
-    def get_name(self) -> str:
-        return "names"
-
-    def get_namespace(self) -> str:
-        return "/"
-
-    def create_subscription(self, *_: Any, **__: Any) -> None:
-        return None
-
-
-def made(folder: Path, patience: float) -> BagRecorder:
-    node = cast(Node, Names())
-    return BagRecorder(node, folder, DRIVE, WALK, own_world=False, patience=patience, say=lambda _line: None)

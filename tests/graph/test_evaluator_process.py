@@ -4,12 +4,11 @@ import dataclasses
 import json
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 import rclpy
 from common import PATIENCE, new_domain
+from graph_nodes import running, start_node, wait_for_end
 from graph_support import Program, assert_same_results, skd_here
 from rcl_interfaces.msg import ParameterType
 from rclpy.executors import SingleThreadedExecutor
@@ -34,23 +33,14 @@ def node(name: str, domain: int, *words: str, **parameters: object) -> Program:
     return Program(command, {"ROS_DOMAIN_ID": str(domain)})
 
 
-@pytest.fixture
-def graph() -> Iterator[int]:
-    """The domain of a graph that lacks the evaluator only."""
-    domain = new_domain()
-    programs = [node(name, domain) for name in MODULES if name != "evaluator"]
-    yield domain
-    for program in programs:
-        program.popen.send_signal(signal.SIGINT)
-    assert [program.finish().code for program in programs] == [0, 0, 0]
-
-
-@pytest.mark.usefixtures("all_harmless_runs")
-def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_assessment_is_that_of_the_command_line(context, tmp_path, capsys):
     counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "simulations": 300, "seed": 11}
-    finished = node("evaluator", graph, **counts, multiplier=0.875, out=tmp_path / "node").finish()
-    assert finished.code == 0, finished.err
-    assert "afety margin " in finished.lines[-1]
+    others, domain, said = {**MODULES}, new_domain(), tmp_path / "said"
+    evaluator = others.pop("evaluator")
+    with running(*(start_node(context, module, tmp_path / name, domain) for name, module in others.items())):
+        node = start_node(context, evaluator, said, domain, **counts, multiplier=0.875, out=tmp_path / "node")
+        assert wait_for_end(node) == 0, said.read_text()
+    assert "afety margin " in said.read_text().splitlines()[-1]
     options = [word for key, value in counts.items() for word in (f"--{key.replace('_', '-')}", value)]
     assert skd_here(capsys, "assess", *options, "--multiplier", 0.875, "--out", tmp_path / "line").code == 0
     assert_same_results(tmp_path / "node", tmp_path / "line")
