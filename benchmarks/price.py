@@ -42,7 +42,7 @@ def main() -> None:
             found = [one for one in every if one is not None]
             keys = ("time_lost", "slow", "needless", "deadlock")
             lost, slow, needless, deadlock = (mean([getattr(one, key) for one in found]) for key in keys)
-            ends = [one.time_lost_ci95 or (lost, lost) for one in found]
+            ends = [one.ci95("time_lost") or (lost, lost) for one in found]
             held = sum(low <= lost <= high for low, high in ends) / len(found)
             shown = "[{:.2f}, {:.2f}]".format(*ends[0]) if len(found) == 1 else "–"
             cells = f"{lost:.2f} | {shown} | {slow:.2f} | {needless:.0%} | {deadlock:.0%} | {held:.0%}"

@@ -64,17 +64,17 @@ def price_of(controller: str, scenario: str = "crossing", runner: InProcessRunne
 )
 def test_the_price_of_a_car_is_what_its_rule_says(car: str, lost: float, needless: float, deadlock: float) -> None:
     found = price_of(car)
-    assert found.time_lost == pytest.approx(lost, abs=0.5 if lost else 0.0)
-    assert (found.needless, found.deadlock) == (needless, deadlock)
+    assert found.mean("time_lost") == pytest.approx(lost, abs=0.5 if lost else 0.0)
+    assert (found.mean("needless"), found.mean("deadlock")) == (needless, deadlock)
     assert found.does_not_get_past == (deadlock == 1.0)
-    assert found.late == pytest.approx(found.time_lost + found.slow)
+    assert found.mean("late") == pytest.approx(found.mean("time_lost") + found.mean("slow"))
 
 
 def test_half_speed_is_slow_by_as_much_as_the_way_takes_at_full_speed() -> None:
     found = price_of("HalfSpeed")
     at_full = np.mean([one.unslowed for one in found.runs])
     braking = (25 / 3 - 25 / 6) / 3.5 * 0.25  # of the way gained until it is at half speed, s of full speed
-    assert found.slow == pytest.approx(at_full - braking, abs=0.4)
+    assert found.mean("slow") == pytest.approx(at_full - braking, abs=0.4)
 
 
 def test_a_car_that_stops_loses_time_beside_those_who_stand_near_its_lane_alone() -> None:
@@ -89,7 +89,7 @@ def test_who_crosses_is_clear_of_the_undisturbed_car(scenario: str) -> None:
     runner = Recorded()
     found = price_of("NeverBrakes", scenario, runner)
     assert not any(one.braked for one in found.runs)
-    assert found.time_lost == pytest.approx(0.0, abs=1e-12)  # nobody was hit
+    assert found.mean("time_lost") == pytest.approx(0.0, abs=1e-12)  # nobody was hit
     logs = [log for log in runner.logs if split_episode_id(log.episode.episode_id)[0] == EpisodeGroup.PRICE]
     undisturbed, harmless = logs[:COUNT], logs[COUNT:]
     for alone, log in zip(undisturbed, harmless, strict=True):
@@ -132,7 +132,7 @@ def made(lost: list[float], kinds: list[str]) -> PriceOfCaution:
 def test_the_interval_of_one_kind_is_students() -> None:
     values = [0.0, 1.0, 3.0, 4.0]
     expected = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
-    assert made(values, ["waits"] * 4).time_lost_ci95 == pytest.approx(expected)
+    assert made(values, ["waits"] * 4).ci95("time_lost") == pytest.approx(expected)
 
 
 def test_kinds_that_differ_do_not_widen_the_interval() -> None:
@@ -157,7 +157,7 @@ def test_intervals_of_the_time_lost_hold_the_mean() -> None:
 
 def test_who_never_gets_past_counts_the_whole_horizon() -> None:
     runs = PriceOfCaution((HarmlessRun("waits", HORIZON, 6.0, 5.5, True),) * 10)
-    assert (runs.time_lost, runs.deadlock, runs.slow) == (24.0, 1.0, 0.5)
+    assert tuple(map(runs.mean, ("time_lost", "deadlock", "slow"))) == (24.0, 1.0, 0.5)
 
 
 class KeepsLeft:

@@ -346,10 +346,9 @@ def standing(car: str, logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
     still = sum(map(_stands_far_off, runs))
     if not runs or still < _NEARLY_ALL * len(runs):
         return ()
-    return (
-        f"{NOT_CREDIBLE}in {still} of {len(runs)} runs along φ {car} stood while every road user was more than "
-        f"{_far(runs[0].episode.scenario):.0f} m away, and stayed there: {DRIVES_NOT}",
-    )
+    far = _far(runs[0].episode.scenario)
+    what = f"{car} stood from more than {far:.0f} m away from every road user on"
+    return (f"{NOT_CREDIBLE}in {still} of {len(runs)} runs along φ {what}: {DRIVES_NOT}",)
 
 
 def _far(scenario: Scenario) -> float:

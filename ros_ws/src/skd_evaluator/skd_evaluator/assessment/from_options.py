@@ -80,10 +80,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
         instead = "leave out --graph" if simulator == car.only_simulator else f"add --simulator {car.only_simulator}"
         if simulator is None:  # the command has no such option
             instead = f"skd assess --simulator {car.only_simulator} runs it"
-        raise UsageError(
-            f"--controller {car.controller} decides within simulator {car.only_simulator}, in the same process: "
-            f"{instead}"
-        )
+        raise UsageError(f"--controller {car.controller} decides within simulator {car.only_simulator}: {instead}")
     if not car.is_external:
         scenario = check_controller(car, scenario)
         for one in options_of(GraphOptions):

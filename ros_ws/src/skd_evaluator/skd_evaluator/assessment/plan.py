@@ -102,9 +102,9 @@ class Plan(CampaignOptions):
         check_adversary_model(self.resolved_adversary_model, self.car, model=bool(self.car_model))
         check_kind(self.scenario)
         if self.safe == WALKERS and self.scenario.adversary.kind != load_behaviour(WALKERS).kind:
+            kind = self.scenario.adversary.kind
             raise UsageError(
-                f"--safe {WALKERS} needs a scenario whose adversary is a pedestrian; that of {self.scenario.name} is a "
-                f"{self.scenario.adversary.kind}: give another source"
+                f"--safe {WALKERS} needs a pedestrian; {self.scenario.name} has a {kind}: give another source"
             )
         clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
         object.__setattr__(self, "scenario", clocked)

@@ -156,9 +156,7 @@ def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], car: 
     number, objective = int(stored.episode_id[row]), str(stored.objective[row])
     stage, index, _ = split_episode_id(number)
     if stage != EpisodeGroup.PROBE and index >= len(safe):
-        raise UsageError(
-            f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}, numbered from 0"
-        )
+        raise UsageError(f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}")
     return replace(
         car,
         mode=Mode(int(stored.mode[row])),

@@ -104,10 +104,8 @@ def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
         if verdict.fault:
             damage.leave_out(f"{one.name}: {verdict.fault}")
         elif not verdict.ours and one.campaign in ours:
-            damage.leave_out(
-                f"{one.name}: {verdict.where} does not follow from its other states (by {verdict.deviation:.3g}), "
-                "though this campaign ran in SKD's own world"
-            )
+            off = f"{verdict.where} does not follow from its other states (by {verdict.deviation:.3g})"
+            damage.leave_out(f"{one.name}: {off}, though this campaign ran in SKD's own world")
         else:
             kept.append(index)
             if not verdict.ours:
@@ -169,10 +167,8 @@ def missing_episodes(
     for index, count in sorted(reached.items()):
         tried = len(kamikazes[index])
         if not left_out and count < requested and tried < TRIALS_PER_REQUESTED * requested:
-            lines.append(
-                f"the last kamikaze trials{which} of safe trajectory {index} were not recorded: {count} collided in "
-                f"{tried}, of another {requested}"
-            )
+            what = f"the last kamikaze trials{which} of safe trajectory {index} were not recorded"
+            lines.append(f"{what}: {count} collided in {tried}, of another {requested}")
     runs = [len(nominal[index]) for index in sorted(known)]
     if runs and not absent and (max(runs) - min(runs) > 1 or runs != sorted(runs, reverse=True)):  # dealt out in turns
         lines.append(f"the last runs along φ were not recorded: of one {min(runs)}, of another {max(runs)}")

@@ -140,8 +140,9 @@ class GraphRecording:
             episode = f"{where}: episode {key.episode_id}"
             try:
                 if key not in self.episodes:
+                    number = key.episode_id
                     raise ValueError(
-                        f"{where}: has the result of episode {key.episode_id} but not the episode: record {EPISODE}"
+                        f"{where}: has the result of episode {number} but not the episode: record {EPISODE}"
                     )
                 if key in self.disputed:
                     raise ValueError(f"{episode}: {self.disputed[key]}")
@@ -171,10 +172,8 @@ class GraphRecording:
             return self.samples.log(episode, key.start, result)
         if result.outcome == Outcome.ABORTED:
             return aborted(episode, result.reason)
-        raise ValueError(
-            f"{where}: {missing} states of episode {key.episode_id} are missing: was recording begun too late, or were "
-            f"{CAR} and {ADVERSARY} not recorded?"
-        )
+        lacks = f"{missing} states of episode {key.episode_id} are missing"
+        raise ValueError(f"{where}: {lacks}: were {CAR} and {ADVERSARY} recorded from its beginning on?")
 
 
 _TOPICS = {

@@ -104,9 +104,7 @@ def assessment_from_logs(
         assert spec.safe_trajectory is not None
         stage, index, trial = split_episode_id(spec.episode_id)
         if not np.array_equal(safe.setdefault(index, spec.safe_trajectory).positions, spec.safe_trajectory.positions):
-            raise UsageError(
-                f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
-            )
+            raise UsageError(f"episode {spec.episode_id} has other positions of safe trajectory {index} than others")
         if stage == EpisodeGroup.KAMIKAZE:
             kamikazes.setdefault((index, spec.objective), []).append(log)
         else:

@@ -182,10 +182,8 @@ def one_frame(path: Path, *tracks: Track) -> None:
     first = tracks[0]
     for other in tracks[1:]:
         if other.frame != first.frame:
-            raise UsageError(
-                f"{path}: {first.name} is in frame {first.frame!r} and {other.name} in {other.frame!r}; give "
-                "--map-frame, if /tf was recorded, or record both in one"
-            )
+            frames = f"{first.name} is in frame {first.frame!r} and {other.name} in {other.frame!r}"
+            raise UsageError(f"{path}: {frames}; give --map-frame, if /tf was recorded")
 
 
 def listed(names: Collection[str]) -> str:
@@ -311,9 +309,7 @@ def bag_tracks(
     within = None if map_frame is None else bare(map_frame)
     found = {name: bag.rows_of(name, within, tf) for name in names}
     if len({by_stamps for _, by_stamps in found.values()}) > 1:
-        raise UsageError(
-            f"{bag.where}: some of {', '.join(names)} have no stamps, so it is unknown when both were where"
-        )
+        raise UsageError(f"{bag.where}: some of {', '.join(names)} have no stamps: when both were where is unknown")
     origin = min(rows[0].stamp for rows, _ in found.values())
     return {
         name: bag.track(name, rows, origin, within, tf, by_stamps=by_stamps)
@@ -515,9 +511,7 @@ class _Bag:
         others = [one for one, kind in self.topics.items() if kind == _TRANSFORMS and one.removesuffix("_static") != tf]
         some = listed(tree.frames) if tree else "no frame"
         more = f"; transforms are on {listed(others)}, too: name one by --tf-topic" if others else ""
-        raise UsageError(
-            f"{self.where}: --map-frame {frame}: {tf} and {tf}_static do not know it; they have {some}{more}"
-        )
+        raise UsageError(f"{self.where}: --map-frame {frame}: {tf} does not know it, but {some}{more}")
 
     def _clean(self, topic: str, id_: str, map_frame: str | None) -> tuple[list[_Row], bool]:
         """Return the rows of an object by their times, without those of no use, and whether these are stamps."""
@@ -529,9 +523,7 @@ class _Bag:
         by_stamps = len(unset) < count
         if not by_stamps:
             if map_frame is not None and {one.frame for one in rows} != {map_frame}:
-                raise UsageError(
-                    f"{where}: the stamps of all {count} messages are 0, so nothing says how frames lay then"
-                )
+                raise UsageError(f"{where}: all {count} stamps are 0, so nothing says how frames lay then")
             damage.warn(
                 f"{where}: the stamps of {count} of {count} messages are 0 (not filled in): {_RECORDER} are taken"
             )
@@ -559,10 +551,8 @@ class _Bag:
                 twice.append((apart, one.stamp))
         if twice:
             apart, stamp = twice[0]
-            raise UsageError(
-                f"{where}: the stamp {stamp / SECOND:.2f} s is there twice, with places {apart:.3g} m apart "
-                f"({len(twice)} of {count} messages repeat one): a clock slower than the messages, or two publishers"
-            )
+            said = f"the stamp {stamp / SECOND:.2f} s is there twice, with places {apart:.3g} m apart"
+            raise UsageError(f"{where}: {said} ({len(twice)} of {count} messages repeat one): two publishers?")
         if not by_stamp:
             raise UsageError(f"{where}: nothing that can be used is left of {count} messages")
         return [by_stamp[stamp] for stamp in sorted(by_stamp)], by_stamps

@@ -258,10 +258,8 @@ class Transforms:
         off = zigzag((stamps[ours] - stamps[0]) / SECOND, places[ours])
         leaps = np.append(off[off > _LEAP], [one for one in twice if one > _LEAP])
         if len(leaps) > _OFTEN * len(stamps) and len(stamps) >= 5:
-            raise UsageError(
-                f"{self._where}: frame {frame!r} leaps to and fro by {np.median(leaps):.2g} m ({len(leaps)} of "
-                f"{len(twice)} transforms): do two nodes publish it?"
-            )
+            how = f"by {np.median(leaps):.2g} m ({len(leaps)} of {len(twice)} transforms)"
+            raise UsageError(f"{self._where}: frame {frame!r} leaps to and fro {how}: do two nodes publish it?")
 
 
 def bare(frame: str) -> str:

@@ -8,8 +8,8 @@ follows from the content of assessment.json, so stored results are judged in the
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
@@ -17,8 +17,8 @@ from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_
 from skd_evaluator.metrics.vulnerability_curve import GRID
 
 _TOTAL: Final = "episodes"
-_ALONG: Final = ("contact_rate", "nominal_collision_rate")
-_SHARES: Final = ("success_rate", "kamikaze_success_rate", "deviation_success_rate")
+_DISTANCES: Final = ("deviation", "deviation_of_successes", "skd", "skd_prefix", "area_above")
+"""Figures that are means; all others are shares."""
 _OF_RANKING: Final = ("deviation", "deviation_of_successes", "deviation_success_rate")
 _CURVE: Final = "vulnerability_curve.kamikazes"
 _OF_CURVE: Final = {
@@ -33,7 +33,7 @@ Figures = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Lost:
-    """Episodes of one figure, of which some were aborted.
+    """Episodes of which some were aborted.
 
     Attributes:
         what: which episodes, in words.
@@ -41,6 +41,7 @@ class Lost:
         episodes: how many there are, aborted ones included.
         figure: name of a figure that they would have counted for; empty: there is none.
         label: what that is called in a sentence.
+        values: of how many episodes each figure is that these count for, if hits in all of them would say what it is.
         separate: whether they are neither kamikazes of an objective nor runs along φ, which count together.
     """
 
@@ -49,6 +50,7 @@ class Lost:
     episodes: int
     figure: str = ""
     label: str = ""
+    values: Mapping[str, int] = field(default_factory=dict)
     separate: bool = False
 
     def __str__(self) -> str:
@@ -78,49 +80,78 @@ class Worst(NamedTuple):
 
 def lost_in(figures: Figures) -> list[Lost]:
     """Return of which figures episodes were aborted, and how many; empty where none was."""
-    found = []
+    return [one for one in _groups(figures) if one.aborted]
+
+
+def _groups(figures: Figures) -> Iterator[Lost]:
+    """Yield all groups of episodes, those without an aborted one too."""
     for name, one in (figures.get("objectives") or {}).items():
         key, label = ("deviation", "the planned deviation") if one.get("plans_deviation") else ("skd", "SKD")
-        what, lost, figure = f"kamikazes of objective {name}", one.get("aborted", 0), f"objectives.{name}.{key}"
-        found.append(Lost(what, lost, one.get("trials", 0) + lost, figure, label))
-    along = _lost_along(figures)
-    runs = figures.get("collision_runs", 0) + along
-    found.append(Lost("runs along φ", along, runs, "contact_rate", "the contact rate"))
+        trials, lost = one.get("trials", 0), one.get("aborted", 0)
+        figure, values = f"objectives.{name}.{key}", _of_kamikazes(figures, name, one, "", trials)
+        yield Lost(f"kamikazes of objective {name}", lost, trials + lost, figure, label, values)
+    runs, lost = figures.get("collision_runs", 0), _lost_along(figures)
+    values = dict.fromkeys(("contact_rate", "nominal_collision_rate"), runs)
+    for number, one in enumerate(figures.get("per_safe_trajectory") or ()):  # on which φ they were is not known
+        values[f"per_safe_trajectory.{number}.contact_rate"] = one.get("collision_runs", 0)
+    yield Lost("runs along φ", lost, runs + lost, "contact_rate", "the contact rate", values)
     for number, one in enumerate(_scales(figures)):
-        every, label = one["runs"] + one["aborted"], f"R({one['scale']:g})"
-        found.append(Lost(_crossings(one), one["aborted"], every, f"risk.scales.{number}.value", label, True))
-    for number, one in enumerate(_budgets(figures)):
-        lost = one["aborted"]
-        name, label = f"vulnerability_curve.budgets.{number}.probability", "the share of these that are hit"
-        found.append(Lost(_bounded(one), lost, one["trials"] + lost, name, label, True))
+        name, scale, every = f"risk.scales.{number}.value", f"{one['scale']:g}", one["runs"] + one["aborted"]
+        crude = not one.get("subset_aborted") and one["episodes"] == every  # else it is no such share
+        values = dict.fromkeys((name, f"risk_{scale}"), one["runs"]) if crude else {}
+        what = f"crossings of the risk at scale {scale}"
+        yield Lost(what, one["aborted"], every, name, f"R({scale})", values, separate=True)
+    for number, one in enumerate((figures.get("vulnerability_curve") or {}).get("budgets") or ()):
+        name, lost = f"vulnerability_curve.budgets.{number}.probability", one["aborted"]
+        what, label = f"kamikazes bounded to η = {one['eta']:g} m", "the share of these that are hit"
+        yield Lost(what, lost, one["trials"] + lost, name, label, {name: one["trials"]}, separate=True)
     tests = figures.get("static_tests") or ()
-    found.append(Lost("static tests", sum(bool(one["aborted"]) for one in tests), len(tests)))  # each says so itself
-    return [one for one in found if one.aborted]
+    yield Lost("static tests", sum(bool(one["aborted"]) for one in tests), len(tests))  # each says so itself
+
+
+def _groups_on_phi(figures: Figures) -> Iterator[Lost]:
+    """Yield the kamikazes on each φ."""
+    for name, one in (figures.get("objectives") or {}).items():
+        for number, row in enumerate(one.get("per_safe_trajectory") or ()):
+            place, trials = f"per_safe_trajectory.{number}.", row["trials"] - row["aborted"]
+            values = _of_kamikazes(figures, name, row, place, trials)
+            yield Lost("kamikazes", row["aborted"], row["trials"], values=values)
+
+
+def _of_kamikazes(figures: Figures, objective: str, entry: Figures, place: str, trials: int) -> dict[str, int]:
+    """Return of how many values each figure of the kamikazes of an objective is, from an entry with their counts."""
+    counts = dict.fromkeys(("deviation", "success_rate", "kamikaze_success_rate", "deviation_success_rate"), trials)
+    counts["deviation_of_successes"] = trials - entry.get("failed", 0)
+    counts |= dict.fromkeys(("skd", "skd_prefix"), entry.get("pairs", 0))
+    found = {}
+    for key, count in counts.items():
+        names = [f"objectives.{objective}.{place}{key}"]
+        if objective == first_of(RANKING_OBJECTIVES if key in _OF_RANKING else SKD_OBJECTIVES, figures["objectives"]):
+            names += [f"{place}{key}", *(_OF_CURVE.get(key, ()) if not place else ())]
+        found |= dict.fromkeys(names, count)
+    return found
 
 
 def aborted_lines(figures: Figures) -> list[str]:
     """Return, a line each, how many episodes of a figure were aborted, and what it would be at worst."""
-    return list(_lines(figures))
-
-
-def _lines(figures: Figures) -> Iterator[str]:
+    found = []
     for scale in _scales(figures):
         if lost := scale.get("subset_aborted"):
             many = "1 crossing" if lost == 1 else f"{lost} crossings"
-            yield f"R({scale['scale']:g}) is not known: {many} of subset simulation {_were(lost)} aborted"
+            found.append(f"R({scale['scale']:g}) is not known: {many} of subset simulation {_were(lost)} aborted")
     for one in lost_in(figures):
         said = f"{one} {_were(one.aborted)} aborted and count{'s' * (one.aborted == 1)} for nothing"
         worst, value = at_worst(figures, one.figure), value_of(figures, one.figure)
-        if worst is None or (value is None and one.aborted < one.episodes):
-            yield said
-        elif value is None:
-            yield f"{said}; no other is left, so {one.label} is not known"
-        else:
+        if value is None and one.aborted == one.episodes and worst is not None:
+            said += f"; no other is left, so {one.label} is not known"
+        elif worst is not None and value is not None:
             how = "hit in it" if one.aborted == 1 else "hit in all of them"
             would, is_now = f"{100 * worst.value:.1f} %", f"{100 * value:.1f} %"
             if one.figure.startswith("objectives."):
                 how, would, is_now = f"{how} without any deviation", f"{worst.value:.2f} m", f"{value:.2f} m"
-            yield f"{said}; if the car had {how}, {one.label} would be {would} in place of {is_now}"
+            said += f"; if the car had {how}, {one.label} would be {would} in place of {is_now}"
+        found.append(said)
+    return found
 
 
 def too_many_aborted(figures: Figures, maximum: float) -> str | None:
@@ -157,61 +188,14 @@ def at_worst(figures: Figures, name: str) -> Worst | None:
         figures: content of assessment.json.
         name: of the figure, as in `figure_names`.
     """
-    found = next((one for one, names in _counts(figures) if name in names), None)
-    if found is None or not found.aborted:
+    groups = (*_groups(figures), *_groups_on_phi(figures))
+    found = next((one for one in groups if name in one.values and one.aborted), None)
+    if found is None:
         return None
-    hits = (value_of(figures, name) or 0.0) * found.values
-    if found.share:
+    hits, every = (value_of(figures, name) or 0.0) * found.values[name], found.values[name] + found.aborted
+    if name.rpartition(".")[2] not in _DISTANCES:
         hits = round(hits) + found.aborted  # they were counted
-    every = found.values + found.aborted
     return Worst(hits / every, f"{found.aborted} of {every} {found.what}")
-
-
-class _Counts(NamedTuple):
-    """Of how many values a figure is the mean, or the share, and how many episodes were aborted beside these."""
-
-    values: int
-    aborted: int
-    what: str
-    share: bool = True
-
-
-def _counts(figures: Figures) -> Iterator[tuple[_Counts, Collection[str]]]:
-    """Yield the counts of all figures that aborted episodes would have counted for, with the names of these."""
-    along, phis = _lost_along(figures), figures.get("per_safe_trajectory") or ()
-    yield _Counts(figures.get("collision_runs", 0), along, "runs along φ"), _ALONG
-    for number, one in enumerate(phis):  # it is not known on which φ they were aborted
-        runs = one.get("collision_runs", 0)
-        yield _Counts(runs, along, "runs along φ"), [f"per_safe_trajectory.{number}.contact_rate"]
-    for number, one in enumerate(_scales(figures)):
-        # Of a risk that subset simulation has found there is no such share.
-        if not one.get("subset_aborted") and one["episodes"] == one["runs"] + one["aborted"]:
-            names = [f"risk.scales.{number}.value", f"risk_{one['scale']:g}"]
-            yield _Counts(one["runs"], one["aborted"], _crossings(one)), names
-    for number, one in enumerate(_budgets(figures)):
-        names = [f"vulnerability_curve.budgets.{number}.probability"]
-        yield _Counts(one["trials"], one["aborted"], _bounded(one)), names
-    for objective, one in (figures.get("objectives") or {}).items():
-        yield from _of_kamikazes(figures, objective, one, "", one.get("trials", 0))
-        for number, row in enumerate(one.get("per_safe_trajectory") or ()):
-            trials = row["trials"] - row["aborted"]
-            yield from _of_kamikazes(figures, objective, row, f"per_safe_trajectory.{number}.", trials)
-
-
-def _of_kamikazes(
-    figures: Figures, objective: str, entry: Figures, place: str, trials: int
-) -> Iterator[tuple[_Counts, Collection[str]]]:
-    """Yield the same of the kamikazes of an objective, from an entry that has their counts."""
-    values = {
-        **dict.fromkeys(("deviation", *_SHARES), trials),
-        "deviation_of_successes": trials - entry.get("failed", 0),
-        **dict.fromkeys(("skd", "skd_prefix"), entry.get("pairs", 0)),
-    }
-    for key, count in values.items():
-        names = [f"objectives.{objective}.{place}{key}"]
-        if objective == first_of(RANKING_OBJECTIVES if key in _OF_RANKING else SKD_OBJECTIVES, figures["objectives"]):
-            names += [f"{place}{key}", *(_OF_CURVE.get(key, ()) if not place else ())]
-        yield _Counts(count, entry.get("aborted", 0), "kamikazes", key in _SHARES), names
 
 
 def value_of(figures: Figures, name: str) -> float | None:
@@ -233,18 +217,6 @@ def _lost_along(figures: Figures) -> int:
 
 def _scales(figures: Figures) -> Sequence[Figures]:
     return (figures.get("risk") or {}).get("scales") or ()
-
-
-def _budgets(figures: Figures) -> Sequence[Figures]:
-    return (figures.get("vulnerability_curve") or {}).get("budgets") or ()
-
-
-def _crossings(scale: Figures) -> str:
-    return f"crossings of the risk at scale {scale['scale']:g}"
-
-
-def _bounded(budget: Figures) -> str:
-    return f"kamikazes bounded to η = {budget['eta']:g} m"
 
 
 def _were(count: int) -> str:

@@ -121,9 +121,7 @@ def _checked(phi: FloatArray, psi: FloatArray, duration: float, name: str) -> fl
         raise ValueError(f"phi has {phi.shape[1]} coordinates a position, {name} has {psi.shape[1]}")
     low, high = max(len(psi) - 2, 0), len(psi) - 1
     if not low - _ROUNDING <= duration <= high + _ROUNDING:
-        raise ValueError(
-            f"the duration of {name}, {len(psi)} positions, must be from {low} to {high} ticks, got {duration:g}"
-        )
+        raise ValueError(f"the duration of {name} must be from {low} to {high} ticks, got {duration:g}")
     return min(max(float(duration), float(low)), float(high))
 
 

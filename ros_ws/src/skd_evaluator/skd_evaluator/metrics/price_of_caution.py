@@ -63,6 +63,17 @@ class HarmlessRun(NamedTuple):
         return self.passed - self.unslowed
 
 
+VALUES: Final[Mapping[str, Callable[[HarmlessRun], float]]] = {
+    "time_lost": lambda run: run.lost,
+    "slow": lambda run: run.slow,
+    "needless": lambda run: float(run.braked),
+    "deadlock": lambda run: float(run.passed >= HORIZON),
+    "late": lambda run: run.late,
+}
+"""By figure, what each run says: times, s, and whether it brakes without need, or has not passed after `HORIZON`."""
+_SHARES: Final = ("needless", "deadlock")
+
+
 @dataclass(frozen=True)
 class PriceOfCaution:
     """What caution costs a car.
@@ -75,60 +86,29 @@ class PriceOfCaution:
     runs: tuple[HarmlessRun, ...]
     aborted: int = 0
 
-    @property
-    def time_lost(self) -> float:
-        """Mean time lost in a harmless run, s."""
-        return mean([one.lost for one in self.runs])
+    def mean(self, name: str) -> float:
+        """Return the mean of one of `VALUES` over all runs, s, or its share of them."""
+        return mean(self._of(name))
 
-    @property
-    def time_lost_ci95(self) -> Interval | None:
-        """95 % interval of it: draws are independent within each kind; None where a kind has a single run."""
-        return stratified_interval([one.kind for one in self.runs], np.array([one.lost for one in self.runs]))
+    def ci95(self, name: str) -> Interval | None:
+        """Return the 95 % interval of it: Wilson's of a share.
 
-    @property
-    def slow(self) -> float:
-        """Mean time by which the undisturbed car is later than at its start speed, s."""
-        return mean([one.slow for one in self.runs])
+        Draws are independent within each kind; of the undisturbed drives there is one kind alone. None where a kind has
+        a single run.
+        """
+        values = self._of(name)
+        if name in _SHARES:
+            return wilson_interval(round(sum(values)), len(values))
+        kinds = [""] * len(values) if name == "slow" else [one.kind for one in self.runs]
+        return stratified_interval(kinds, np.array(values))
 
-    @property
-    def slow_ci95(self) -> Interval | None:
-        """95 % interval of it."""
-        return stratified_interval([""] * len(self.runs), np.array([one.slow for one in self.runs]))
-
-    @property
-    def late(self) -> float:
-        """Mean time by which the car passes later than at its start speed, s: lost and slow together."""
-        return mean([one.late for one in self.runs])
-
-    @property
-    def late_ci95(self) -> Interval | None:
-        """95 % interval of it."""
-        return stratified_interval([one.kind for one in self.runs], np.array([one.late for one in self.runs]))
-
-    @property
-    def needless(self) -> float:
-        """Share of the runs in which the car brakes hard for a road user who is not in its path."""
-        return sum(one.braked for one in self.runs) / len(self.runs)
-
-    @property
-    def needless_ci95(self) -> Interval | None:
-        """Wilson's 95 % interval of it."""
-        return wilson_interval(sum(one.braked for one in self.runs), len(self.runs))
+    def _of(self, name: str) -> list[float]:
+        return [VALUES[name](one) for one in self.runs]
 
     @property
     def deadlocks(self) -> int:
         """Runs in which the car has not passed after `HORIZON`."""
-        return sum(one.passed >= HORIZON for one in self.runs)
-
-    @property
-    def deadlock(self) -> float:
-        """Share of the runs in which the car has not passed after `HORIZON`."""
-        return self.deadlocks / len(self.runs)
-
-    @property
-    def deadlock_ci95(self) -> Interval | None:
-        """Wilson's 95 % interval of it."""
-        return wilson_interval(self.deadlocks, len(self.runs))
+        return round(sum(self._of("deadlock")))
 
     @property
     def lanes_left(self) -> tuple[float, float] | None:
@@ -138,7 +118,7 @@ class PriceOfCaution:
     @property
     def does_not_get_past(self) -> bool:
         """Whether the car surely does not get past people, in more than `DEADLOCK` of the runs."""
-        return does_not_get_past({"deadlock_ci95": self.deadlock_ci95})
+        return does_not_get_past({"deadlock_ci95": self.ci95("deadlock")})
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry `price_of_caution` of assessment.json."""
@@ -181,16 +161,9 @@ def price_differences(first: Mapping[str, Any], second: Mapping[str, Any], confi
         return {}
     same = first["seed"] == second["seed"] and len(prices[0].runs) == len(prices[1].runs)
     paired = same and not any(one.aborted for one in prices)
-    values: dict[str, Callable[[HarmlessRun], float]] = {
-        "time_lost": lambda run: run.lost,
-        "slow": lambda run: run.slow,
-        "needless": lambda run: float(run.braked),
-        "deadlock": lambda run: float(run.passed >= HORIZON),
-        "late": lambda run: run.late,
-    }
     found = {
         name: difference(*([[of(run)] for run in one.runs] for one in prices), paired=paired, confidence=confidence)
-        for name, of in values.items()
+        for name, of in VALUES.items()
     }
     return {name: one for name, one in found.items() if one is not None}
 

@@ -184,10 +184,8 @@ class ScaleRisk(Entry):
             return f"crude, {self.hits} of {self.runs} runs{rule}"
         found = self.subsets
         never = f", {found.open_levels} of them without a hit" if found.open_levels else ""
-        return (
-            f"subset simulation, {len(found.levels)} replicates of {found.per_level} a level{never} "
-            f"(crude: {self.hits} of {self.runs} runs)"
-        )
+        crude = f"(crude: {self.hits} of {self.runs} runs)"
+        return f"subset simulation, {len(found.levels)} replicates of {found.per_level} a level{never} {crude}"
 
     @property
     def gain(self) -> float | None:

@@ -280,10 +280,8 @@ class UntilWidth(Entry):
         count, width = self.looks[-1].safe_count, self.width
         now = "there is none" if width is None else f"it is {width:.3f} m wide"
         end = "" if self.reached else f", not {self.requested:g} m as requested: give more φ a batch (--safe-count)"
-        return (
-            f"after {count} φ the interval of the deviation: {now}{end}; intervals by φ hold at all "
-            f"{self.most_looks} looks together"
-        )
+        holds = f"intervals by φ hold at all {self.most_looks} looks together"
+        return f"after {count} φ the interval of the deviation: {now}{end}; {holds}"
 
 
 def narrow_enough(found: Clustered | None, width: float) -> bool:

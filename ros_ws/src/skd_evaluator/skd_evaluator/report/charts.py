@@ -464,10 +464,12 @@ def price_chart(cars: Sequence[ChartedCar]) -> Spec:
     for one in cars:
         price = stored_price(one.figures)
         assert price is not None
-        low, high = price.late_ci95 or (price.late, price.late)
+        mean = price.mean("late")
+        low, high = price.ci95("late") or (mean, mean)
         note = "does not get past people" if price.does_not_get_past else ""
         note = note or ("margin at most" if one.figures["margin_converged"] is False else "")
-        late = {"y": price.late, "y_low": low, "y_high": high, "lost": price.time_lost, "slow": price.slow}
+        lost, slow = map(price.mean, ("time_lost", "slow"))
+        late = {"y": mean, "y_low": low, "y_high": high, "lost": lost, "slow": slow}
         (left_out if note else rows).append({**_margin_row(one), **late, "note": note or "–"})
     title = "later past a harmless road user than at the start speed (s)"
     y, low_end = (alt.Y(f"{name}:Q", title=title) for name in ("y", "y_low"))

@@ -48,10 +48,7 @@ def car_model_warnings(data: Mapping[str, Any]) -> list[str]:
     if calibration and calibration["p_value"] < CONTRADICTED:
         found.append("held-out ticks contradict the model: its intervals take it to be right and are too narrow")
     if noise.get("estimate") is not None and noise["estimate"] > 0.99 * LARGEST_NOISE:
-        found.append(
-            f"deceleration_noise is at the end of its range, {LARGEST_NOISE:g}: this car does not brake with one "
-            "deceleration"
-        )
+        found.append(f"deceleration_noise is {LARGEST_NOISE:g}, the end of its range: the car brakes in several ways")
     return found
 
 

@@ -285,10 +285,8 @@ def _lines(scenario: Scenario, known: str | None) -> Iterator[str]:
     car, adversary, protocol = scenario.car, scenario.adversary, scenario.protocol
     user = road_user_named(adversary.kind)
     body = f"{adversary.length:g} × {adversary.width:g} m" if adversary.is_box else f"a disc of {adversary.radius:g} m"
-    yield (
-        f"car: {_KMH * car.start_speed:.0f} km/h, its front {car.start_gap:.1f} to "
-        f"{car.start_gap + car.start_gap_range:.1f} m before the crossing line"
-    )
+    gaps = f"{car.start_gap:.1f} to {car.start_gap + car.start_gap_range:.1f} m"
+    yield f"car: {_KMH * car.start_speed:.0f} km/h, its front {gaps} before the crossing line"
     yield f"adversary: {user.name}, {body}, at most {_KMH * adversary.speed:.0f} km/h"
     if scenario.obstacles or scenario.others:
         yield f"beside it: {len(scenario.obstacles)} parked, {len(scenario.others)} others"

@@ -40,25 +40,20 @@ def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
     rows = result["per_safe_trajectory"]
     if unsafe := [row for row in rows if not row["safe"]]:
         worst = max(unsafe, key=lambda row: float(row["contact_rate"]))
-        found.append(
-            f"{len(unsafe)} of {counted(len(rows), 'safe trajectory')} {'is' if len(unsafe) == 1 else 'are'} not safe "
-            f"with this car, as {worst['name']}: {100 * worst['contact_rate']:.0f} % of the runs along it collide"
-        )
+        count = f"{len(unsafe)} of {counted(len(rows), 'safe trajectory')} not safe"
+        collide = f"{100 * worst['contact_rate']:.0f} % of the runs along it collide"
+        found.append(f"{count} with this car, e.g. {worst['name']}: {collide}")
     found += _of_margin(result) if planned else []
     if (stopped := result["until_width"]) and not stopped["reached"]:
         found.append(stopped["text"])
     if (clipped := result["commands_clipped"])["commands"]:
-        found.append(
-            f"{clipped['commands']} commands in {clipped['episodes']} episodes were beyond what this car can do; "
-            "they were clipped"
-        )
+        count = f"{clipped['commands']} commands in {clipped['episodes']} episodes"
+        found.append(f"{count} were beyond what this car can do; they were clipped")
     if result.get("lane_left") and result["scenario"]["road"].get("lanes"):
         occupied = bool(result["scenario"].get("others"))
         other, scenario = ("free", "oncoming_lane") if occupied else ("occupied", "oncoming_traffic")
-        found.append(
-            f"the car leaves its lane in {100 * result['lane_left']:.0f} % of the runs along φ: rate it with the other "
-            f"lane {other}, too, as scenario {scenario} has it; the lower margin counts"
-        )
+        left = f"the car leaves its lane in {100 * result['lane_left']:.0f} % of the runs along φ"
+        found.append(f"{left}: rate it with the other lane {other}, too (scenario {scenario}); the lower margin counts")
     return [*found, *contact_warnings(result)]
 
 
@@ -67,10 +62,9 @@ def contact_warnings(result: Result) -> list[str]:
     found = result.get("simulator_contacts")
     if not found or not found["geometry_alone"] + found["simulator_alone"]:
         return []
-    return [
-        f"of {found['episodes']} episodes the car touched a road user by SKD's geometry alone in "
-        f"{found['geometry_alone']}, by the simulator's shapes alone in {found['simulator_alone']}; SKD's counts"
-    ]
+    alone = f"{found['geometry_alone']}, by the simulator's shapes alone in {found['simulator_alone']}"
+    which = f"of {found['episodes']} episodes the car touched a road user by SKD's geometry alone in"
+    return [f"{which} {alone}; SKD's counts"]
 
 
 def _of_margin(result: Result) -> Iterator[str]:
@@ -84,20 +78,14 @@ def _of_margin(result: Result) -> Iterator[str]:
         yield f"{PLANNED} {close:.2f} times the margin: judge the car by its margin, not by planned deviation or SKD"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
     if impact and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE and trials - beyond >= _FEWEST:
-        yield (
-            f"90 % of the margin's hits are at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s: "
-            "another collision.hit_speed would give another margin"
-        )
+        speeds = f"at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s"
+        yield f"90 % of the margin's hits are {speeds}: another collision.hit_speed would give another margin"
     touched, hit = _contacts(result)
     if hit and beyond == trials:
-        yield (
-            f"the {trials} trials of the margin have no hit within η_max, but {counted(hit, 'other episode')} ended in "
-            "a hit: give a greater --kamikaze-count or eta_max"
-        )
+        others = f"{counted(hit, 'other episode')} ended in a hit"
+        yield f"the {trials} trials of the margin have no hit within η_max, but {others}: give a greater eta_max"
     elif result["margin_ci95"] is not None and result["margin_ci95"][1] - result["margin_ci95"][0] < _NO_WIDTH:
-        yield (
-            f"all {trials} trials have the same margin, so its interval has no width: a greater --safe-count says more"
-        )
+        yield f"all {trials} trials have the same margin, so its interval has no width: give a greater --safe-count"
     if touched and not hit and beyond == trials:
         yield f"the car was only walked into: {touched} kamikazes touched it, while it drove slower than {least:g} m/s"
 

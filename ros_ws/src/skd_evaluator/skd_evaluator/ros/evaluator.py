@@ -341,11 +341,9 @@ class Evaluator(GraphNode):
         except UsageError as error:
             self._require_alone()
             whose, topic = ("car", EGO_ODOMETRY) if isinstance(state, CarState) else ("adversary", ADVERSARY_ODOMETRY)
-            raise AssessmentError(
-                f"two different states of the {whose} came for {(stamp - self._key.start) / NANOSECONDS:.3f} s of the "
-                f"episode: another node, which is gone, has published {self.resolve_topic_name(topic)}, or the "
-                "simulator contradicts itself"
-            ) from error
+            where = f"{(stamp - self._key.start) / NANOSECONDS:.3f} s of the episode"
+            who = f"another node has published {self.resolve_topic_name(topic)}, or the simulator contradicts itself"
+            raise AssessmentError(f"two different states of the {whose} came for {where}: {who}") from error
         self._figures.take(stamp, state)
         if isinstance(state, CarState) and self._marker_publisher.get_subscription_count():
             self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))

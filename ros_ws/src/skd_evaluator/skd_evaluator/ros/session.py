@@ -40,10 +40,7 @@ def prepare_ros(options: GraphOptions) -> None:
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")  # a wrong type in a field is an error, not garbage
     ensure_ros()
     if os.environ.get("ROS_SECURITY_ENABLE") == "true" and not is_sourced(os.environ):
-        raise UsageError(
-            "ROS_SECURITY_ENABLE=true needs a Fast DDS with security libraries, which ROS 2 as SKD brings it has not: "
-            "unset it, or source a ROS 2 that has them"
-        )
+        raise UsageError("ROS_SECURITY_ENABLE=true needs security libraries, which ROS 2 as SKD brings it has not")
     if options.message_folder:
         prefix = ensure_messages(options.message_folder, command_format(options).package)
         os.environ.update(message_variables(os.environ, prefix))

@@ -201,9 +201,7 @@ class EpisodeStore:
             if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
                 raise UsageError(f"{what}: another process has it open") from error
             if code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM")):
-                raise StoreError(
-                    f"{what}: it cannot be written; see to the disk, and go on with the same command and --resume"
-                ) from error
+                raise StoreError(f"{what}: it cannot be written; see to the disk, and go on with --resume") from error
             raise self._damaged(said) from error
 
     def _damaged(self, why: str) -> StoreError:

@@ -141,9 +141,8 @@ class ResultFolder:
             requested, self.path = self.path, _free(self._target)
             temporary.rename(self.path)
             note_in_place(self.path)
-            raise ElsewhereError(
-                f"--out {requested}: something was put there meanwhile; the results are in {self.path}"
-            ) from error
+            text = f"--out {requested}: something was put there meanwhile; the results are in {self.path}"
+            raise ElsewhereError(text) from error
         note_in_place(self.path)
         remove(replaced)
 
@@ -340,8 +339,5 @@ def check_unchanged(folder: Path, names: Iterable[str]) -> bool:
     for name in names:
         known = (manifest or {}).get(name)
         if known is not None and sha256_of(folder / name) != known:
-            raise UsageError(
-                f"{folder / name}: is not what was written: its SHA-256 is another than in {MANIFEST} beside it; to "
-                "change a file on purpose, copy it to another folder"
-            )
+            raise UsageError(f"{folder / name}: is not what was written: its SHA-256 is another than in {MANIFEST}")
     return manifest is not None

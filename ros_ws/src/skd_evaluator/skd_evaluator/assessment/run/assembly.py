@@ -55,10 +55,8 @@ class Samples:
             place = state.x, state.y
             same, whose = self.adversary.setdefault(stamp, place) == place, "adversary"
         if not same:
-            raise UsageError(
-                f"two different states of the {whose} at simulation time {stamp / 1e9:.3f} s: several recordings are "
-                "mixed; give each its own bag"
-            )
+            when = f"simulation time {stamp / 1e9:.3f} s"
+            raise UsageError(f"two different states of the {whose} at {when}: several recordings are mixed")
 
     def __len__(self) -> int:
         """Return how many states have come."""

@@ -110,10 +110,8 @@ def _have(controller: SentController) -> None:
         here = _digest_beside(Path(controller.path))
     if here != controller.sha256:
         what = "has other files of" if here else "does not have"
-        raise UsageError(
-            f"worker on {platform.node()} {what} the controller {controller.name}, which are in {controller.path}: "
-            "only a module that stands alone in its folder is sent to the workers, all else has to be there, the same"
-        )
+        why = f"{what} the controller {controller.name}, which are in {controller.path}"
+        raise UsageError(f"worker on {platform.node()} {why}: only a module alone in its folder is sent to workers")
     if controller.source is not None:
         _put(controller.module, Path(controller.path).name, controller.source)
 
@@ -237,8 +235,7 @@ class DaskRunner(Workers):
         for address, theirs in self._everywhere(description).items():
             if isinstance(theirs, Exception):
                 raise UsageError(
-                    f"worker {address} cannot run SKD ({_shortened(theirs)}): scheduler and workers need the same "
-                    "environment as this process"
+                    f"worker {address} cannot run SKD: {_shortened(theirs)}; all need the same environment"
                 )
             if different := difference(theirs, self._description):
                 raise UsageError(f"worker {address} has {different}: all need the same")

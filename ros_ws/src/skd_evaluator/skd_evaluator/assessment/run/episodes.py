@@ -455,8 +455,6 @@ def _compare(single: UserController, episode: EpisodeSpec, requested: _Request, 
     seen = Scene(car, user) if single.takes_scene else user
     alone, together = as_pair(single.command(car, seen)), tuple(requested.commands[at].tolist())  # type: ignore[arg-type]
     if not math.dist(alone, together) <= TOLERANCE:
-        raise AssessmentError(
-            f"controller {episode.controller}: commands answers {short(together)} where command answers "
-            f"{short(alone)} (tick {requested.tick} of episode {episode.episode_id}): both have to be the same car, "
-            "without a memory of its own; mend commands, or leave it out"
-        )
+        said = f"commands answers {short(together)} where command answers {short(alone)}"
+        where = f"tick {requested.tick} of episode {episode.episode_id}"
+        raise AssessmentError(f"controller {episode.controller}: {said} ({where}): both have to be the same car")

@@ -114,10 +114,8 @@ def learned(
         else:
             begin = time.perf_counter()
             text = car_model_text(learn(plan, runner, progress, runner if graph is None else InProcessRunner(1)))
-            line = (
-                f"learned the car from {PROBES} probes and {TRIALS} trials of kamikazes in "
-                f"{time.perf_counter() - begin:.0f} s"
-            )
+            seconds = f"{time.perf_counter() - begin:.0f} s"
+            line = f"learned the car from {PROBES} probes and {TRIALS} trials of kamikazes in {seconds}"
             if file is None:
                 line += ", not kept: its files are not known"
             # Unless files of the car have changed since it began to be learned.
@@ -165,9 +163,7 @@ def _starts(scenario: Scenario, runner: Runner) -> list[Trajectory]:
     try:
         return safe_trajectories(Plan(scenario, seed=SEED, safe_count=SAFE), runner)
     except UsageError as error:
-        raise AssessmentError(
-            f"the car cannot be learned: {error}; give --adversary-model generic, or --car-model"
-        ) from error
+        raise AssessmentError(f"the car cannot be learned: {error}; give --adversary-model generic") from error
 
 
 def _recordings(

@@ -142,11 +142,10 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
     log, other = changed[0]
     lost = f", aborted then: {other.reason}" if other.outcome == Outcome.ABORTED else ""
     _, phi, trial = split_episode_id(log.episode.episode_id)
-    return (
-        f"{begin}{len(changed)} of {len(first)} episodes ended differently in another order, {hits} of them in a hit "
-        f"in one order alone (first: {log.episode.mode.name.lower()}, φ {phi}, trial {trial}{lost}). {car} keeps "
-        "something between episodes, or draws random numbers of its own: let reset undo it, and draw from rng",
-    )
+    where = f"first: {log.episode.mode.name.lower()}, φ {phi}, trial {trial}{lost}"
+    ended = f"ended differently in another order, {hits} of them in a hit in one order alone ({where})"
+    why = f"{car} keeps something between episodes, or draws random numbers of its own"
+    return (f"{begin}{len(changed)} of {len(first)} episodes {ended}. {why}",)
 
 
 # --- whether it drives
@@ -207,10 +206,8 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
     if not slow:
         return ()
     first, last = slow[len(slow) // 2]
-    line = (
-        f"{UNDISTURBED}{plan.car.label} slows from {first:.1f} to {last:.1f} m/s in {len(slow)} of {len(drives)} "
-        f"drives of {_SECONDS:g} s"
-    )
+    drive = f"{len(slow)} of {len(drives)} drives of {_SECONDS:g} s"
+    line = f"{UNDISTURBED}{plan.car.label} slows from {first:.1f} to {last:.1f} m/s in {drive}"
     least = plan.scenario.collision.hit_speed
     if statistics.median(drive.last for drive in drives) < least:
         return (f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {DRIVES_NOT}",)
@@ -270,15 +267,11 @@ def _warnings(assessment: Assessment, simulator: str) -> tuple[str, ...]:
     found = []
     refuted = [one for one in assessment.reasons if kind_of(one) in (AbortKind.REFUTED, AbortKind.NOT_FINITE)]
     if refuted:
-        found.append(
-            f"{len(refuted)} of {assessment.episodes} episodes in simulator {simulator} cannot have happened, and "
-            f"count for nothing ({refuted[0]})"
-        )
+        count = f"{len(refuted)} of {assessment.episodes} episodes in simulator {simulator}"
+        found.append(f"{count} cannot have happened, and count for nothing ({refuted[0]})")
     logs = assessment.logs
     strayed = [log.strayed for log in logs if log.strayed > _STRAYED]
     if strayed:
-        found.append(
-            f"in {len(strayed)} of {len(logs)} episodes in simulator {simulator} the adversary was not where it was "
-            f"commanded to go, by up to {max(strayed):.2g} m"
-        )
+        count = f"in {len(strayed)} of {len(logs)} episodes in simulator {simulator}"
+        found.append(f"{count} the adversary was up to {max(strayed):.2g} m from where it was commanded to go")
     return tuple(found)

@@ -125,10 +125,8 @@ def minimal_deviations(
     found = search_margins(episodes, logs, in_processes(runner, progress), effort, before)
     hits, again = (sum(one is not None for one in some) for some in (found.hits, confirmed(episodes, found, runner)))
     if again < hits:
-        raise AssessmentError(
-            f"controller {first.controller} answers differently to the same trajectories: of {hits} hits {again} came "
-            "again. It may draw only from the generator of reset, and reset has to undo what an episode has left"
-        )
+        said = f"answers differently to the same trajectories: of {hits} hits {again} came again"
+        raise AssessmentError(f"controller {first.controller} {said}. It may draw only from the generator of reset")
     how = f"from the hits of {earlier.folder} on" if earlier is not None else ""
     return found.hits, replace(found.search, how=how)
 
@@ -169,10 +167,8 @@ def _by_whole_episodes(
             raise AssessmentError(lost)
         warnings.append(f"{lost}: the margin may be less")
     if again < hits and not is_own_world(plan.simulator):
-        warnings.append(
-            f"{NOT_CREDIBLE}simulator {plan.simulator}, or controller {plan.controller}, does not repeat itself: of "
-            f"{hits} hits {again} came again"
-        )
+        which = f"simulator {plan.simulator}, or controller {plan.controller},"
+        warnings.append(f"{NOT_CREDIBLE}{which} does not repeat itself: of {hits} hits {again} came again")
     came = f"{again} of {hits} hits came again" if hits else "none hit"
     if held and again < hits:
         came += f", the others count as {plan.scenario.eta_max:g} m"

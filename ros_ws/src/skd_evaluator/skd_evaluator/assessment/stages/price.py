@@ -92,14 +92,10 @@ def _not_known(assessment: Assessment, why: str) -> Assessment:
 
 def warnings(car: str, price: PriceOfCaution) -> tuple[str, ...]:
     """Return what a reader should know of the price of a user's car, a line each."""
-    lost = (
-        f"{price.aborted} of {price.aborted + len(price.runs)} harmless runs were aborted and count for nothing: the "
-        "price of caution is of the others",
-    )
-    stuck = (
-        f"{car} is often stuck: in {price.deadlocks} of {len(price.runs)} runs of {HORIZON:g} s it does not get past "
-        "people who are not in its path",
-    )
+    every = len(price.runs) + price.aborted
+    lost = (f"{price.aborted} of {every} harmless runs were aborted: the price of caution is of the others",)
+    runs = f"{price.deadlocks} of {len(price.runs)} runs of {HORIZON:g} s"
+    stuck = (f"{car} is often stuck: in {runs} it does not get past people who are not in its path",)
     return (*(lost if price.aborted else ()), *(stuck if price.does_not_get_past else ()))
 
 

@@ -208,10 +208,8 @@ def _failures(
         logs = dict(zip(rows, runner.run(AnyCar(crossing_plan, runner).episodes(chosen, found.scale)), strict=True))
         missed = [row for row, log in logs.items() if end_of(log)[0] != Touch.FRONT]
         if missed:
-            raise AssessmentError(
-                f"of crossing {missed[0]} at scale {found.scale:g} command makes no hit and commands does: "
-                "both have to be the same car"
-            )
+            where = f"crossing {missed[0]} at scale {found.scale:g}"
+            raise AssessmentError(f"of {where} command makes no hit and commands does: both have to be the same car")
     return found.with_speeds({row: log.impact_speed for row, log in logs.items()}), logs
 
 

@@ -52,13 +52,10 @@ def safe_trajectories(plan: Plan, runner: Runner, progress: Progress = silent) -
     while len(found) < plan.safe_count:
         if trial >= TRIALS_PER_REQUESTED * plan.safe_count:
             if 2 * len(reasons) > trial:
-                raise AssessmentError(
-                    f"{len(reasons)} of {trial} safe episodes were aborted, the last one so: {reasons[-1]}"
-                )
-            raise UsageError(
-                f"only {len(found)} of {plan.safe_count} safe trajectories arrived without a collision in {trial} "
-                f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
-            )
+                lost = f"{len(reasons)} of {trial} safe episodes were aborted"
+                raise AssessmentError(f"{lost}, the last one so: {reasons[-1]}")
+            found_few = f"only {len(found)} of {plan.safe_count} safe trajectories arrived in {trial} episodes"
+            raise UsageError(f"{found_few}: is the destination of {plan.scenario.name} within its horizon?")
         missing = plan.safe_count - len(found)
         episodes = [_safe_episode(plan, episode_id(EpisodeGroup.SAFE, 0, trial + i)) for i in range(missing)]
         for log in run_episodes(runner, episodes, "safe trajectories", progress, len(found), plan.safe_count):

@@ -85,9 +85,7 @@ def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
         return [], LOOKS
     count = count_safe_trajectories(plan.safe, plan.scenario)
     if count < 2 * plan.safe_count:
-        raise UsageError(
-            f"--until-width adds φ in batches of --safe-count {plan.safe_count}; {plan.safe} has {count}: give fewer"
-        )
+        raise UsageError(f"--until-width adds batches of {plan.safe_count} φ; {plan.safe} has {count}: give fewer")
     every = load_safe_trajectories(plan.safe, plan.scenario, count)
     order = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(int(EpisodeGroup.SAFE),))).permutation(
         count

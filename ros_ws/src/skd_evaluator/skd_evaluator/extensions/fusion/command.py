@@ -187,10 +187,8 @@ def _sentence(one: FusedFigure) -> str:
     begin = f"Over all φ the {name} of the physical car is {figure}, with a 95 % interval from {interval}; by {trials}"
     if not one.predicts:
         return f"{begin} alone, for {one.why_alone}."
-    return (
-        f"{begin} and simulations of {pairs.population.size} φ. The simulator predicts it, and saved "
-        f"{counted(one.saved, 'physical trial')}."
-    )
+    saved = f"The simulator predicts it, and saved {counted(one.saved, 'physical trial')}."
+    return f"{begin} and simulations of {pairs.population.size} φ. {saved}"
 
 
 def _gap_lines(one: FusedFigure) -> Iterator[str]:
@@ -334,7 +332,5 @@ def _calibration_sentences(found: SimulatorCalibration) -> Iterator[str]:
         assert one.interval is not None
         value, low, high = map(one.parameter.shown, (one.value, *one.interval))
         yield f"The {one.parameter.text} is {value}, with a 95 % interval from {low} to {high}."
-    yield (
-        f"Simulated cars are {found.after:.2f} m from where recorded ones were (root mean square); with the scenario's "
-        f"own values {found.before:.2f} m."
-    )
+    off = f"Simulated cars are {found.after:.2f} m from where recorded ones were (root mean square)"
+    yield f"{off}; with the scenario's own values {found.before:.2f} m."

@@ -98,10 +98,7 @@ class Parameter(Frozen):
             raise UsageError("source must say where the value is from")
         if self.interval_95 is not None and not self.interval_95[0] <= self.value <= self.interval_95[1]:
             low, high = self.interval_95
-            raise UsageError(
-                f"interval_95 must hold the value {self.value:g}, got [{low:g}, {high:g}]: change both, or "
-                "remove the interval"
-            )
+            raise UsageError(f"interval_95 must hold the value {self.value:g}, got [{low:g}, {high:g}]")
 
 
 @dataclass(frozen=True)
@@ -157,10 +154,8 @@ def load_behaviour(name: str | Path) -> Behaviour:
     path = file_of(name)
     if not is_there(path):
         near = did_you_mean(str(name), tuple(_SHIPPED))
-        raise UsageError(
-            f"behaviour {str(name)!r}: cannot be read; give {WALKERS}, {NO_BEHAVIOUR}, or a file that skd fit "
-            f"--people has written{near}"
-        )
+        known = f"{WALKERS}, {NO_BEHAVIOUR}, or a file of skd fit --people"
+        raise UsageError(f"behaviour {str(name)!r}: cannot be read; give {known}{near}")
     return behaviour_from(read_yaml(path), str(path))
 
 
@@ -179,10 +174,8 @@ def behaviour_from(data: Any, where: str) -> Behaviour:
         meaning = MEANINGS[name]
         if not meaning.low <= one.value <= meaning.high:
             unit = f" {meaning.unit}" if meaning.unit else ""
-            raise UsageError(
-                f"{where}: parameters.{name}.value must be a number from {meaning.low:g} to {meaning.high:g}{unit}, "
-                f"got {one.value:g}"
-            )
+            limits = f"from {meaning.low:g} to {meaning.high:g}{unit}"
+            raise UsageError(f"{where}: parameters.{name}.value must be a number {limits}, got {one.value:g}")
     return found
 
 

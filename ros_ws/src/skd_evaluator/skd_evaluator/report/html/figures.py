@@ -53,10 +53,8 @@ def sentences_of(subject: Subject) -> list[str]:
     adversary_model = figures.get("adversary_model")
     known = f" (adversary model: {adversary_model})" if adversary_model else ""
     hit = ranking["trials"] - ranking["failed"]
-    planned = (
-        f"Planned kamikazes{known} needed {number(figures['deviation'], 2, 'm')} on average; {hit} of "
-        f"{counted(ranking['trials'], 'trial')} were hit"
-    )
+    needed = f"needed {number(figures['deviation'], 2, 'm')} on average"
+    planned = f"Planned kamikazes{known} {needed}; {hit} of {counted(ranking['trials'], 'trial')} were hit"
     counts = f"; one that was not counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
     return [first, f"{planned}{counts}."]
 

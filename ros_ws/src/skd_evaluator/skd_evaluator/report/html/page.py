@@ -82,10 +82,8 @@ def render(subjects: Sequence[Subject]) -> str:
         if len(page.encode()) + len(block) <= LARGEST:
             return page.replace(_BLOCK, _BLOCK.replace("><", f">{block}<"))
         if not kept:
-            raise AssessmentError(
-                f"a page of {len(content['episodes']):,} episodes would be larger than {LARGEST / 1e6:g} MB; "
-                "report fewer folders at a time"
-            )
+            size = f"{len(content['episodes']):,} episodes would be larger than {LARGEST / 1e6:g} MB"
+            raise AssessmentError(f"a page of {size}; report fewer folders at a time")
         kept = int(0.8 * kept)
         for one in content["episodes"][kept:]:
             one["path"] = one["belief"] = None

@@ -75,14 +75,11 @@ def read_tracks(paths: Sequence[Path], damage: Damage, kind: str = "pedestrian")
     enough = [one for one in found if len(one.positions) >= SHORTEST]
     if not enough:
         raise UsageError(
-            f"{paths[0]}: no track of at least {(SHORTEST - 1) * TIME_STEP:g} s in it; {len(found)} shorter ones"
+            f"{paths[0]}: no track of at least {(SHORTEST - 1) * TIME_STEP:g} s; {len(found)} shorter ones"
         )
     _check_directions(enough)
     if quantile_table(padded([one.positions for one in enough]), TIME_STEP).min() < _DRAWN:
-        raise UsageError(
-            f"{paths[0]}: most of its tracks go straight on at one pace to the millimetre, as no tracked "
-            "person does: safe trajectories that were made by rule say nothing of people"
-        )
+        raise UsageError(f"{paths[0]}: most of its tracks go straight on at one pace, as no tracked person does")
     check_once((name, one.positions) for name, one in named)
     return enough
 
@@ -96,10 +93,8 @@ def _check_directions(tracks: Sequence[Tracked]) -> None:
     going = [(one, by) for one, by in off if np.hypot(*by) >= _GOES]
     aside = [one for one, by in going if by[0] < _ASIDE * np.hypot(*by)]
     if 2 * len(aside) > len(going):
-        raise UsageError(
-            f"{aside[0].name}: goes aside or back, as {len(aside)} of {len(going)} tracks do; x must be along the way "
-            "that people intend, and grow: turn them round"
-        )
+        count = f"{len(aside)} of {len(going)} tracks"
+        raise UsageError(f"{aside[0].name}: goes aside or back, as {count} do; x must grow along the way intended")
 
 
 def _tracks_of(path: Path, damage: Damage, kind: str, phis: dict[bytes, Tracked]) -> list[Tracked]:
@@ -125,10 +120,8 @@ def _of_csv(path: Path, kind: str) -> Tracked:
     check_track(times, values[:, 1:], kind, path, lines)
     hole = int(np.argmax(np.diff(times)))
     if times[hole + 1] - times[hole] > LONGEST_HOLE + 1e-9:
-        raise UsageError(
-            f"{path}, line {lines[hole + 1]}: {times[hole + 1] - times[hole]:.3g} s after the line before, more than "
-            f"{LONGEST_HOLE:g} s: is t in s? Cut a track where it has a hole"
-        )
+        pause = f"{times[hole + 1] - times[hole]:.3g} s after the line before, more than {LONGEST_HOLE:g} s"
+        raise UsageError(f"{path}, line {lines[hole + 1]}: {pause}: is t in s?")
     if times[-1] - times[0] > LONGEST * TIME_STEP:
         raise UsageError(f"{path}: lasts {times[-1] - times[0]:.4g} s, more than {LONGEST * TIME_STEP:g} s; cut it")
     return Tracked(path.stem, path.stem, resample(times, values[:, 1:], TIME_STEP))
