@@ -7,5 +7,5 @@ from skd_sim.errors import AssessmentError
 __all__ = ["AssessmentError", "OutOfReachError"]
 
 
-class OutOfReachError(AssessmentError):
-    """The cluster that runs the episodes is gone: no assessment can go on there, and the car is not the cause."""
+class OutOfReachError(RuntimeError):
+    """What runs the episodes is gone: no assessment can go on there, and the car is not the cause."""

@@ -22,13 +22,7 @@ from skd_evaluator.assessment.plan import (
     follows_other_trajectory,
     split_episode_id,
 )
-from skd_evaluator.bags.checks import (
-    Damage,
-    aborted_episodes,
-    missing_episodes,
-    not_credible_beside,
-    unfinished_episodes,
-)
+from skd_evaluator.bags import checks
 from skd_evaluator.bags.read import BagContent, BagEpisode
 from skd_evaluator.metrics.aborted import aborted_lines
 
@@ -72,7 +66,7 @@ def assessment_from_logs(
     campaign: str | None = None,
     maximum_distance: float | None = None,
     seconds: float = 0.0,
-    damage: Damage | None = None,
+    damage: checks.Damage | None = None,
 ) -> Assessment:
     """Compute the assessment of recorded episodes, by every objective of which there are kamikazes.
 
@@ -140,17 +134,19 @@ def assessment_from_logs(
         return replace(assessment, warnings=(*lost, *stands))
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
-    lines = unfinished_episodes(unfinished)
+    lines = checks.unfinished_episodes(unfinished)
     reached = {str(one.plan.objective): one.successes_by_phi for one in assessment.results}
     requested = max((count for counts in reached.values() for count in counts), default=0)
     for objective in objectives:
         own = [name.episode_id for name in announced if name.objective in ("", objective)]
         by_index = dict(zip(indices, reached[str(objective)], strict=True))
         which = f" of objective {objective}" if len(objectives) > 1 else ""
-        lines += missing_episodes(own, by_index, requested=requested, left_out=bool(damage.left_out), which=which)
-    lines += aborted_episodes([episode.log for episode in chosen])
+        lines += checks.missing_episodes(
+            own, by_index, requested=requested, left_out=bool(damage.left_out), which=which
+        )
+    lines += checks.aborted_episodes([episode.log for episode in chosen])
     lines += lost
-    lines += not_credible_beside(recorded.files)
+    lines += checks.not_credible_beside(recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
     return replace(assessment, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *stands))

@@ -16,7 +16,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, real_path
 
 from skd_evaluator.cli.parser import rare
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import check_file, write_file
 
 if TYPE_CHECKING:  # this module is imported at every start, and has to be light
@@ -130,7 +130,7 @@ class Gate:
         """If something ends the assessment, say why in the JUnit file, too."""
         try:
             yield
-        except AssessmentError as error:
+        except (AssessmentError, OutOfReachError) as error:
             from skd_evaluator.assessment.compare.gate import Check
 
             if problem := self.write(None, [Check("assessment", str(error), error=True)], car):

@@ -18,7 +18,7 @@ from skd_sim.inputs.files import one_line
 
 from skd_evaluator.cli.output import give_up, keep_for_json
 from skd_evaluator.cli.parser import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, make_parser, parse
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import begin_command, what_is_in_place
 
 _OF_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = int(command.run(arguments))
         sys.stdout.flush()
         return code
-    except (UsageError, AssessmentError) as error:
+    except (UsageError, AssessmentError, OutOfReachError) as error:
         if verbose:
             import traceback  # only now: every command begins with this module
 

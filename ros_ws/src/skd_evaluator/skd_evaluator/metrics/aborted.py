@@ -91,14 +91,14 @@ def _groups(figures: Figures) -> Iterator[Lost]:
         figure, values = f"objectives.{name}.{key}", _of_kamikazes(figures, name, one, "", trials)
         yield Lost(f"kamikazes of objective {name}", lost, trials + lost, figure, label, values)
     runs, lost = figures.get("collision_runs", 0), _lost_along(figures)
-    values = dict.fromkeys(("contact_rate", "nominal_collision_rate"), runs)
+    values = {"contact_rate": runs, "nominal_collision_rate": runs}
     for number, one in enumerate(figures.get("per_safe_trajectory") or ()):  # on which φ they were is not known
         values[f"per_safe_trajectory.{number}.contact_rate"] = one.get("collision_runs", 0)
     yield Lost("runs along φ", lost, runs + lost, "contact_rate", "the contact rate", values)
     for number, one in enumerate(_scales(figures)):
         name, scale, every = f"risk.scales.{number}.value", f"{one['scale']:g}", one["runs"] + one["aborted"]
         crude = not one.get("subset_aborted") and one["episodes"] == every  # else it is no such share
-        values = dict.fromkeys((name, f"risk_{scale}"), one["runs"]) if crude else {}
+        values = {name: one["runs"], f"risk_{scale}": one["runs"]} if crude else {}
         what = f"crossings of the risk at scale {scale}"
         yield Lost(what, one["aborted"], every, name, f"R({scale})", values, separate=True)
     for number, one in enumerate((figures.get("vulnerability_curve") or {}).get("budgets") or ()):
@@ -122,8 +122,8 @@ def _of_kamikazes(figures: Figures, objective: str, entry: Figures, place: str, 
     """Return of how many values each figure of the kamikazes of an objective is, from an entry with their counts."""
     counts = dict.fromkeys(("deviation", "success_rate", "kamikaze_success_rate", "deviation_success_rate"), trials)
     counts["deviation_of_successes"] = trials - entry.get("failed", 0)
-    counts |= dict.fromkeys(("skd", "skd_prefix"), entry.get("pairs", 0))
-    found = {}
+    counts["skd"] = counts["skd_prefix"] = entry.get("pairs", 0)
+    found: dict[str, int] = {}
     for key, count in counts.items():
         names = [f"objectives.{objective}.{place}{key}"]
         if objective == first_of(RANKING_OBJECTIVES if key in _OF_RANKING else SKD_OBJECTIVES, figures["objectives"]):

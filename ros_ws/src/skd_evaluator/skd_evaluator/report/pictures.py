@@ -21,16 +21,7 @@ from skd_evaluator import palette
 from skd_evaluator.assessment.assessment import Assessment, ObjectiveResult
 from skd_evaluator.metrics.contact_place import last_car_position, last_pose, outline_of
 from skd_evaluator.metrics.statistics import mean
-from skd_evaluator.report.episode_pictures import (
-    PAGE,
-    TYPE,
-    draw_before,
-    draw_car,
-    draw_road,
-    save_picture,
-    set_extent,
-    write_time,
-)
+from skd_evaluator.report import episode_pictures as drawing
 from skd_evaluator.report.formats import counted
 
 mpl.use("Agg")
@@ -66,10 +57,10 @@ def save_trajectories(path: Path, assessment: Assessment, result: ObjectiveResul
     box = _extent(scenario, [group.safe_trajectory for group in groups], [log for part in logs for log in part], least)
     columns = min(2, len(groups))
     lines = -(-len(groups) // columns)
-    width = (PAGE - 0.7) / 2.0
+    width = (drawing.PAGE - 0.7) / 2.0
     height = min(width * (box[3] - box[2]) / (box[1] - box[0]), 4.5)
     # Around the panels: title and axis labels of each row, the heading and the legend.
-    figure = Figure(figsize=(PAGE, lines * (height + 0.65) + 1.45), layout="constrained")
+    figure = Figure(figsize=(drawing.PAGE, lines * (height + 0.65) + 1.45), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for panel in panels[len(groups) :]:
         panel.set_visible(False)
@@ -85,21 +76,21 @@ def save_trajectories(path: Path, assessment: Assessment, result: ObjectiveResul
             "margin trajectory (least deviation that is hit), ending at +", "+", alpha=0.6, lw=0.9, ls=(0, (4, 2)),
             zorder=3.5,
         )  # fmt: skip
-        panel.set_title(_panel_title(assessment, result, place, shown), fontsize=TYPE, parse_math=False)
+        panel.set_title(_panel_title(assessment, result, place, shown), fontsize=drawing.TYPE, parse_math=False)
     for row in range(lines):
-        panels[row * columns].set_ylabel("y, North (m)", fontsize=TYPE)
+        panels[row * columns].set_ylabel("y, North (m)", fontsize=drawing.TYPE)
     for panel in panels[max(0, len(groups) - columns) : len(groups)]:
-        panel.set_xlabel("x, East (m)", fontsize=TYPE)
+        panel.set_xlabel("x, East (m)", fontsize=drawing.TYPE)
         panel.xaxis.set_tick_params(labelbottom=True)
     entries: dict[str, Any] = {}
     for panel in panels[: len(groups)]:  # the first may have no kamikaze trajectory
         entries = {**dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True)), **entries}
     figure.legend(
-        list(entries.values()), list(entries), loc="outside lower center", ncols=2, frameon=False, fontsize=TYPE
+        list(entries.values()), list(entries), loc="outside lower center", ncols=2, frameon=False, fontsize=drawing.TYPE
     )
     colour = palette.ALERT if assessment.reasons else "black"
     figure.suptitle(_heading(assessment, result), fontsize=9, parse_math=False, color=colour)
-    save_picture(figure, path)
+    drawing.save_picture(figure, path)
 
 
 def _figures(
@@ -169,7 +160,7 @@ def _extent(
 
 def _draw_panel(axes: Axes, scenario: Scenario, phi: Trajectory, box: tuple[float, float, float, float]) -> None:
     """Draw lanes and φ, with its time at every third tick."""
-    draw_road(axes, scenario, *(box[2:] if scenario.road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
+    drawing.draw_road(axes, scenario, *(box[2:] if scenario.road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
     axes.plot(*phi.positions.T, color=palette.SAFE, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ, a dot each tick")
     last = np.full(2, np.inf)
     for number in range(0, len(phi), _LABELLED):
@@ -177,9 +168,9 @@ def _draw_panel(axes: Axes, scenario: Scenario, phi: Trajectory, box: tuple[floa
         if np.linalg.norm(place - last) < _BETWEEN:
             continue
         last = place
-        write_time(axes, number * phi.time_step, place, palette.SAFE, (0, -4))
-    axes.tick_params(labelsize=TYPE)
-    set_extent(axes, box)
+        drawing.write_time(axes, number * phi.time_step, place, palette.SAFE, (0, -4))
+    axes.tick_params(labelsize=drawing.TYPE)
+    drawing.set_extent(axes, box)
 
 
 def _draw_kamikazes(axes: Axes, result: ObjectiveResult, logs: Sequence[EpisodeLog]) -> None:
@@ -214,15 +205,15 @@ def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], l
     log = sorted(logs, key=last_car_position)[len(logs) // 2]
     poses, last = log.car[:-1, :3], last_pose(log)
     fronts = poses[:, 1] + scenario.car.front
-    draw_car(axes, scenario, last, "car, median at impact", 0.6)
+    drawing.draw_car(axes, scenario, last, "car, median at impact", 0.6)
     visible = poses[fronts > low] if scenario.road.straight else poses
-    draw_before(axes, scenario, visible, "its front at the ticks before, with their times")
+    drawing.draw_before(axes, scenario, visible, "its front at the ticks before, with their times")
     if not scenario.road.straight:
         return
     for number, (pose, front) in enumerate(zip(poses, fronts.tolist(), strict=True)):
         if low < front < last[1] + scenario.car.front - 0.35:
             edge = outline_of(scenario, pose)[3]
-            write_time(axes, number * scenario.time_step, edge, palette.CAR, (4, 0))
+            drawing.write_time(axes, number * scenario.time_step, edge, palette.CAR, (4, 0))
 
 
 def _cross_out(axes: Axes, words: str) -> None:

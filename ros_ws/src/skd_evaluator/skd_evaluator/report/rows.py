@@ -11,18 +11,7 @@ from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
 from skd_evaluator.metrics.margins import GAP_WARNING, reference_text
 from skd_evaluator.metrics.statistics import cantelli_bound
-from skd_evaluator.report.formats import (
-    NOTHING,
-    PAGE,
-    Style,
-    counted,
-    failures_in,
-    kept_failures,
-    ninety,
-    number,
-    percent,
-    spoken_interval,
-)
+from skd_evaluator.report import formats
 
 _SAME_MULTIPLIER = 1e-9
 
@@ -43,8 +32,8 @@ class FigureRow:
 
     name: str
     value: str
-    clustered: str = NOTHING
-    plain: str = NOTHING
+    clustered: str = formats.NOTHING
+    plain: str = formats.NOTHING
     basis: str = ""
     main: bool = False
     alert: bool = False
@@ -54,7 +43,7 @@ class FigureRow:
         return self.name, self.value, self.clustered, self.plain, f" {self.basis}"
 
 
-def figure_rows(figures: Mapping[str, Any], style: Style = PAGE) -> list[FigureRow]:
+def figure_rows(figures: Mapping[str, Any], style: formats.Style = formats.PAGE) -> list[FigureRow]:
     """Return the figures of a car: those that are read first, in the order of the terminal, then others."""
     parts = (_first_rows, _margin_details, _planned_details, _skd_details)
     return [row for part in parts for row in part(figures, style)]
@@ -68,20 +57,20 @@ def _ranking(figures: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each kind of failure, the most frequent first, with those that are kept and their places."""
-    found = failures_in(figures)
-    kept = list(enumerate(kept_failures(figures)))
+    found = formats.failures_in(figures)
+    kept = list(enumerate(formats.kept_failures(figures)))
     names = [row["name"] for row in figures["per_safe_trajectory"]]
     return [
         {
             "kind": group["kind"],
-            "share": percent(group["share"], 0) if group["share"] >= 0.005 else "< 1 %",
+            "share": formats.percent(group["share"], 0) if group["share"] >= 0.005 else "< 1 %",
             "hits": str(group["hits"]),
             "nearest": [
                 {
                     "place": place,
                     "phi": names[where["safe_trajectory"]],
                     "likely": one.likely,
-                    "speed": number(where["impact_speed"], 1, "m/s"),
+                    "speed": formats.number(where["impact_speed"], 1, "m/s"),
                 }
                 for (place, one), where in zip(
                     [pair for pair in kept if pair[1].kind == group["kind"]], group["nearest"], strict=True
@@ -92,9 +81,10 @@ def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
+def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
     ranking = _ranking(figures)
-    phis = counted(len(figures["per_safe_trajectory"]), "φ")
+    phis = formats.counted(len(figures["per_safe_trajectory"]), "φ")
+    runs = formats.counted(figures["collision_runs"], "run")
     speed, model, close = figures["impact_speed"], figures.get("adversary_model"), figures["optimality_gap"]
     overrides: dict[str, dict[str, Any]] = {
         "margin": {"basis": _margin_basis(figures)},
@@ -103,10 +93,12 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
             "plain": _equivalent_interval(style, figures, THESE_PHI),
             "basis": _equivalent_basis(figures),
         },
-        "nominal_collision_rate": {"basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, along φ"},
+        "nominal_collision_rate": {
+            "basis": f"{formats.counted(figures['collision_runs'], 'run')} over {phis}, along φ"
+        },
         "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else ""},
         "deviation": {
-            "basis": f"{f'adversary model: {model}; ' if model else ''}{counted(ranking['trials'], 'trial')} "
+            "basis": f"{f'adversary model: {model}; ' if model else ''}{formats.counted(ranking['trials'], 'trial')} "
             f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
         },
         "optimality_gap": {
@@ -115,7 +107,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
         },
         "skd": {
             "basis": f"{style.share(figures['kamikaze_success_rate'])} of trials collide; "
-            f"{counted(figures['pairs'], 'pair')} over {phis}"
+            f"{formats.counted(figures['pairs'], 'pair')} over {phis}"
         },
     }
     risk = figures.get("risk")
@@ -123,7 +115,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
         people = f"behaviour model {risk['behaviour']['name']}"
         overrides.update({f"risk_{one['scale']:g}": {"basis": f"{one['method']}; {people}"} for one in risk["scales"]})
     if price := figures.get("price_of_caution"):
-        runs = counted(len(price["runs"]), "harmless run")
+        runs = formats.counted(len(price["runs"]), "harmless run")
         overrides["time_lost"] = {"basis": f"{runs}; {style.share(figures['deadlock'])} never pass"}
     if figures["skd"] is None:
         overrides["skd"]["value"] = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
@@ -131,17 +123,17 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
     return [replace(_row(style, one, figures, main=True), **overrides.get(one.key, {})) for one in shown]
 
 
-def _row(style: Style, one: Figure, figures: Mapping[str, Any], **rest: Any) -> FigureRow:
+def _row(style: formats.Style, one: Figure, figures: Mapping[str, Any], **rest: Any) -> FigureRow:
     """Return the row of a figure, as the table of figures has it."""
     return FigureRow(
         one.title, style.value(one, figures), style.by_phi(one, figures), style.independent(one, figures), **rest
     )
 
 
-def _further(style: Style, figures: Mapping[str, Any], of: Of, basis: str = "") -> list[FigureRow]:
+def _further(style: formats.Style, figures: Mapping[str, Any], of: Of, basis: str = "") -> list[FigureRow]:
     """Return figures that need no words of their own."""
     found = [one for one in shown_in("details") if one.of is of and one.key in figures]
-    return [_row(style, one, figures, basis=ninety(one, figures) or basis) for one in found]
+    return [_row(style, one, figures, basis=formats.ninety(one, figures) or basis) for one in found]
 
 
 def _margin_basis(figures: Mapping[str, Any]) -> str:
@@ -150,11 +142,11 @@ def _margin_basis(figures: Mapping[str, Any]) -> str:
         return str(figures["margin_note"] or "not known")
     how = "exact" if figures["margin_budget"] is None else "found by search"
     how = how if figures["margin_converged"] else "not converged"
-    phis = counted(len(figures["per_safe_trajectory"]), "φ")
-    return f"{how}; {counted(figures['margin_trials'], 'trial')} over {phis}"
+    phis = formats.counted(len(figures["per_safe_trajectory"]), "φ")
+    return f"{how}; {formats.counted(figures['margin_trials'], 'trial')} over {phis}"
 
 
-def _margin_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
+def _margin_details(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
     rows = []
     if figures["margin"] is not None:
         if figures["margin_budget"] is not None:
@@ -175,11 +167,13 @@ def _margin_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]
         rows.append(FigureRow(name, f"{figures['margin_beyond']} of {figures['margin_trials']}"))
         rows += _further(style, figures, Of.MARGIN)
     walked = figures["collision_standing_contacts"]
-    runs = counted(figures["collision_runs"], "run") + (f"; {walked} walked into a standing car" if walked else "")
+    runs = formats.counted(figures["collision_runs"], "run") + (
+        f"; {walked} walked into a standing car" if walked else ""
+    )
     return [*rows, _row(style, AT_THE_TOP["contact_rate"], figures, basis=runs), *_further(style, figures, Of.CAR)]
 
 
-def _planned_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
+def _planned_details(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
     ranking = _ranking(figures)
     rows = []
     if ranking["failed"] and figures["deviation"] is not None:
@@ -189,7 +183,7 @@ def _planned_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow
             )
         )
     for name, found in figures["objectives"].items():
-        tried = f"{found['trials'] - found['failed']} of {counted(found['trials'], 'trial')}"
+        tried = f"{found['trials'] - found['failed']} of {formats.counted(found['trials'], 'trial')}"
         walked = f"; {found['standing_contacts']} walked into a standing car" if found["standing_contacts"] else ""
         rows.append(
             FigureRow(
@@ -216,7 +210,7 @@ def _planned_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow
     return [*rows, *_further(style, figures, Of.RANKING)]
 
 
-def _skd_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
+def _skd_details(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
     rows = [_row(style, AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")]
     rows += _further(style, figures, Of.SKD, "of the pairs of SKD")
     for eta, bound in figures["probability_bound"].items() if figures["skd"] is not None else ():
@@ -244,9 +238,9 @@ def bounds_of(curves: Mapping[str, Any] | None) -> list[dict[str, str]]:
     return [
         {
             "eta": f"{one['eta']:.2f}",
-            "found": number(one["probability"]),
-            "theorem": number(one["bound"]),
-            "cantelli": number(one["cantelli"]),
+            "found": formats.number(one["probability"]),
+            "theorem": formats.number(one["bound"]),
+            "cantelli": formats.number(one["cantelli"]),
         }
         for one in (curve["points"][::_EVERY] if curve else ())
         if "cantelli" in one and one["cantelli"] < 1.0
@@ -263,12 +257,12 @@ def _equivalent_basis(figures: Mapping[str, Any]) -> str:
     return f"{said}; {beside}" if beside else said
 
 
-def _equivalent_interval(style: Style, figures: Mapping[str, Any], name: str) -> str:
+def _equivalent_interval(style: formats.Style, figures: Mapping[str, Any], name: str) -> str:
     """Return an interval of the equivalent multiplier, whose ends may lie beyond the sweep."""
     ends = figures.get(f"equivalent_multiplier_{name}") or (None, None)
     own = figures["multiplier"]
     # A basic car is compared with itself, in the same trials: there is no chance in it.
     if own is not None and all(end is not None and abs(end - own) < _SAME_MULTIPLIER for end in ends):
         return "exact by construction"
-    text = spoken_interval(figures, f"equivalent_multiplier_{name}_text")
+    text = formats.spoken_interval(figures, f"equivalent_multiplier_{name}_text")
     return style.around.format(*text.strip("[]").split(", ")) if ", " in text else text or style.nothing

@@ -18,31 +18,20 @@ from skd_sim.options.car_under_test import EXTERNAL
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.report.formats import (
-    NO_RATING,
-    NOTHING,
-    TERMINAL,
-    bounded,
-    counted,
-    failures_in,
-    how_many,
-    ninety,
-    surrogate_groups,
-    surrogate_rows,
-)
+from skd_evaluator.report import formats
 from skd_evaluator.report.rows import figure_rows
 
 _EXACT = 5e-4  # m, of which nothing is seen in three digits
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
-_number, _interval, _percent = TERMINAL.number, TERMINAL.interval, TERMINAL.share
+_number, _interval, _percent = formats.TERMINAL.number, formats.TERMINAL.interval, formats.TERMINAL.share
 _BOLD = ("margin", "equivalent_multiplier", "nominal_collision_rate", "skd")
 
 
 def bounded_cell(result: Mapping[str, Any], text: str) -> str:
     """Return a cell with a margin, or what follows from it; in two lines and red where it is but a bound."""
-    said = bounded(result, text)
+    said = formats.bounded(result, text)
     return said if said == text else f"[red]{said.replace('at most ', 'at most' + chr(10))}[/]"
 
 
@@ -71,7 +60,7 @@ def _found(result: Mapping[str, Any], car: str) -> str:
     bound = "" if result["margin_converged"] else "at most "
     interval = result["margin_ci95"]
     around = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{counted(trials, 'trial')}, "
+    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{formats.counted(trials, 'trial')}, "
     found += f"{_trajectories(result)}."
     if beyond:
         found += f" No hit found in {beyond} of {trials}: each counts as {most}."
@@ -83,7 +72,7 @@ def _found(result: Mapping[str, Any], car: str) -> str:
 def _trajectories(result: Mapping[str, Any]) -> str:
     """Return how many nominal trajectories there are, and how many of them are distinct if not all are."""
     count, distinct = len(result["per_safe_trajectory"]), result["distinct_safe_trajectories"]
-    return f"{counted(count, 'trajectory')}" + ("" if distinct == count else f" ({distinct} distinct)")
+    return f"{formats.counted(count, 'trajectory')}" + ("" if distinct == count else f" ({distinct} distinct)")
 
 
 _HEADLINE = ("margin", "nominal_collision_rate", "impact_speed", "risk_1", "time_lost")
@@ -94,11 +83,11 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     table = narrow_table("", ("", "", "95 % interval"))
     for key in _HEADLINE:
         figure = AT_THE_TOP.get(key)
-        if figure is None or (value := TERMINAL.value(figure, result)) == TERMINAL.nothing:
+        if figure is None or (value := formats.TERMINAL.value(figure, result)) == formats.TERMINAL.nothing:
             continue
         unit = "" if figure.kind.unit in ("", "%") else f" {figure.kind.unit}"
-        intervals = (TERMINAL.by_phi(figure, result), TERMINAL.independent(figure, result))
-        interval = next((one for one in intervals if one != TERMINAL.nothing), ninety(figure, result))
+        intervals = (formats.TERMINAL.by_phi(figure, result), formats.TERMINAL.independent(figure, result))
+        interval = next((one for one in intervals if one != formats.TERMINAL.nothing), formats.ninety(figure, result))
         table.add_row(f"{figure.label}{_beside(key, result)}  ", f"[bold]{value}{unit}[/]  ", escape(interval))
     return table
 
@@ -118,7 +107,7 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
     if key == "margin":
         return f", {_how_sure(result) if result['margin_converged'] else '[red]not converged[/]'}"
     if key == "nominal_collision_rate":
-        return f", {counted(result['collision_runs'], 'run')}"
+        return f", {formats.counted(result['collision_runs'], 'run')}"
     if key == "time_lost" and result["deadlock"]:
         return f", [red]{_percent(result['deadlock'])} never pass[/]"
     return ", ordinary walkers" if key == "risk_1" else ""
@@ -136,25 +125,28 @@ def details_table(result: Mapping[str, Any]) -> Table:
     """Return every figure that is known of an assessment, from the content of assessment.json."""
     heads = ("", "value", "95 %,\nby φ", "95 %, as\nindependent", "of")
     rows = [
-        [escape(text.replace(NOTHING, TERMINAL.nothing)) for text in one.texts()]
-        for one in figure_rows(result, TERMINAL)
+        [escape(text.replace(formats.NOTHING, formats.TERMINAL.nothing)) for text in one.texts()]
+        for one in figure_rows(result, formats.TERMINAL)
     ]
     for kind, reasons in result["aborted_reasons"].items():
         rows.append([f"[red]aborted episodes: {kind}[/]", str(reasons["count"])])
     clipped = result["commands_clipped"]
     if clipped["commands"]:
-        episodes = f" in {counted(clipped['episodes'], 'episode')}"
+        episodes = f" in {formats.counted(clipped['episodes'], 'episode')}"
         rows.append(["[red]commands beyond what the car can do[/]", str(clipped["commands"]), "", "", episodes])
     if result["left_out"]:
         rows.append(["[red]left out as damaged[/]", str(len(result["left_out"]))])
     for one in result["measures"].values():
         if one["error"]:
             rows.append([f"[red]{escape(one['label'])}[/]", "failed", "", "", f" {escape(one['error'])}"])
-    if (found := failures_in(result)) is not None:
-        name, of = f"most likely failures at s = {found['scale']:g}", f" of {counted(found['runs'], 'crossing')}"
+    if (found := formats.failures_in(result)) is not None:
+        name, of = (
+            f"most likely failures at s = {found['scale']:g}",
+            f" of {formats.counted(found['runs'], 'crossing')}",
+        )
         rows.append([name, str(found["hits"]), "", "", of])
         for one in found["kinds"]:
-            nearest = f" the most usual: {how_many(one['nearest'][0]['people'])} differ more from the average"
+            nearest = f" the most usual: {formats.how_many(one['nearest'][0]['people'])} differ more from the average"
             rows.append([f"  {escape(one['kind'])}", _percent(one["share"]), "", "", nearest])
     if result["discarded_by_distance"]:
         rows.append(["discarded by distance", str(result["discarded_by_distance"])])
@@ -163,17 +155,17 @@ def details_table(result: Mapping[str, Any]) -> Table:
 
 def surrogate_table(result: Mapping[str, Any]) -> Table | None:
     """Return what the surrogate safety measures come to, from the content of assessment.json; None without any."""
-    groups = surrogate_groups(result)
+    groups = formats.surrogate_groups(result)
     if not groups:
         return None
-    table = Table(title=f"Surrogate safety measures, median and worst. {NO_RATING}", title_justify="left")
+    table = Table(title=f"Surrogate safety measures, median and worst. {formats.NO_RATING}", title_justify="left")
     table.add_column("")
     for name, _ in groups:
         table.add_column(name, justify="right")
-    for label, cells in surrogate_rows(result):
+    for label, cells in formats.surrogate_rows(result):
         pairs = zip(cells[::3], cells[1::3], strict=True)
         table.add_row(
-            label, *(f"{median}, {worst}" if median != TERMINAL.nothing else median for median, worst in pairs)
+            label, *(f"{median}, {worst}" if median != formats.TERMINAL.nothing else median for median, worst in pairs)
         )
     return table
 

@@ -29,26 +29,12 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.options.options import CommandOptions
+from skd_sim.ros import support
 from skd_sim.ros.commands import car_commands
 from skd_sim.ros.diagnosis import Awaited
 from skd_sim.ros.discovery import kind_name, living_publishers, second_publisher
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.ros.simulator_node import GraphSimulator
-from skd_sim.ros.support import (
-    ADVERSARY_ODOMETRY,
-    ASSESSMENT,
-    CLOCK,
-    COMMAND,
-    EGO_ODOMETRY,
-    EPISODE,
-    EPISODE_RESULT,
-    LATCHED,
-    MARKERS,
-    STREAM,
-    TF,
-    VELOCITY_COMMAND,
-    GraphNode,
-)
 from skd_sim.ros.to_messages import episode_to_message, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator
 from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, abort_reason, kind_of
@@ -183,10 +169,15 @@ _DISCOVERY = 1.0  # s: how long an episode waits for topics that no node publish
 _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
 _LOST = 10.0  # s: how long after an episode its last states may come, from the last message of all on
 _LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
-_OURS = (EPISODE, EPISODE_RESULT, EGO_ODOMETRY, ADVERSARY_ODOMETRY)  # topics on which one node publishes
+_OURS = (
+    support.EPISODE,
+    support.EPISODE_RESULT,
+    support.EGO_ODOMETRY,
+    support.ADVERSARY_ODOMETRY,
+)  # topics on which one node publishes
 
 
-class Evaluator(GraphNode):
+class Evaluator(support.GraphNode):
     """Runs episodes through the graph; a `Runner`.
 
     Attributes:
@@ -217,9 +208,9 @@ class Evaluator(GraphNode):
         self._streams: list[Any] = []
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self)
-        self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
-        self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
-        self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
+        self._episode_publisher = self.create_publisher(EpisodeMsg, support.EPISODE, support.LATCHED)
+        self._assessment_publisher = self.create_publisher(AssessmentMsg, support.ASSESSMENT, support.LATCHED)
+        self._marker_publisher = self.create_publisher(MarkerArray, support.MARKERS, support.LATCHED)
         self._figures, self._health = LiveFigures(self), Health(self)
         self._composed: Composed | None = None
         if composed is not None:
@@ -268,9 +259,9 @@ class Evaluator(GraphNode):
         )
         self._own_world, self._anew = own_world, anew
         driven = car_commands(commands)
-        self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
+        self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, support.VELOCITY_COMMAND))
         if self._composed is None:
-            self._listen(EPISODE_RESULT, EpisodeResult, self._on_result)
+            self._listen(support.EPISODE_RESULT, EpisodeResult, self._on_result)
         self._first_commands = FirstCommands(
             self,
             Awaited(self._drive_topic, kind_name(driven.kind)),
@@ -279,16 +270,16 @@ class Evaluator(GraphNode):
             walk_topic=walk_topic if self._composed is None else "",
         )
         if self._composed is None or record_to is not None:
-            self._listen(EGO_ODOMETRY, Odometry, self._on_car)
-            self._listen(ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
+            self._listen(support.EGO_ODOMETRY, Odometry, self._on_car)
+            self._listen(support.ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
         if record_to is not None:
-            self._listen(CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
+            self._listen(support.CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
             self._listen(commands.command_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
-            self._listen(VELOCITY_COMMAND, TwistStamped)
-            self._listen(TF, TFMessage, stamp=_stamp_of_transforms)
-            self._listen(COMMAND, AccelStamped)
+            self._listen(support.VELOCITY_COMMAND, TwistStamped)
+            self._listen(support.TF, TFMessage, stamp=_stamp_of_transforms)
+            self._listen(support.COMMAND, AccelStamped)
             settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
-            drive, walk = (recorded_name(self, one) for one in (commands.command_topic, VELOCITY_COMMAND))
+            drive, walk = (recorded_name(self, one) for one in (commands.command_topic, support.VELOCITY_COMMAND))
             self._recorder = BagRecorder(self, record_to, drive, walk, own_world=own_world, patience=settle, say=say)
 
     def _warn(self, line: str) -> None:
@@ -310,7 +301,7 @@ class Evaluator(GraphNode):
         name = recorded_name(self, topic)
 
         def on_bytes(data: bytes) -> None:
-            if topic != TF:  # a stack sends transforms too, whether or not the simulator goes on
+            if topic != support.TF:  # a stack sends transforms too, whether or not the simulator goes on
                 self._heard = time.monotonic()
             message = deserialize_message(data, kind)
             if self._recorder is not None:
@@ -318,7 +309,7 @@ class Evaluator(GraphNode):
             if self._composed is None:  # else it was heard by a call
                 handle(message)
 
-        self._streams.append(self.create_subscription(kind, topic, on_bytes, STREAM, raw=True))
+        self._streams.append(self.create_subscription(kind, topic, on_bytes, support.STREAM, raw=True))
 
     # --- what comes in
 
@@ -340,7 +331,11 @@ class Evaluator(GraphNode):
             self._samples.add(stamp, state)
         except UsageError as error:
             self._require_alone()
-            whose, topic = ("car", EGO_ODOMETRY) if isinstance(state, CarState) else ("adversary", ADVERSARY_ODOMETRY)
+            whose, topic = (
+                ("car", support.EGO_ODOMETRY)
+                if isinstance(state, CarState)
+                else ("adversary", support.ADVERSARY_ODOMETRY)
+            )
             where = f"{(stamp - self._key.start) / NANOSECONDS:.3f} s of the episode"
             who = f"another node has published {self.resolve_topic_name(topic)}, or the simulator contradicts itself"
             raise AssessmentError(f"two different states of the {whose} came for {where}: {who}") from error
@@ -357,7 +352,7 @@ class Evaluator(GraphNode):
                 self._result = result, from_stamp(message.header.stamp)
                 self._ended = time.monotonic()
                 if self._composed is not None and self._recorder is not None:
-                    name, data = recorded_name(self, EPISODE_RESULT), serialize_message(message)
+                    name, data = recorded_name(self, support.EPISODE_RESULT), serialize_message(message)
                     self._recorder.keep(name, EpisodeResult, self._result[1], data)
 
     def watch(self, show: Show, commands: CommandOptions) -> None:

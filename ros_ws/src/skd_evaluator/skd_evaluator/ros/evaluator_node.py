@@ -23,17 +23,10 @@ from skd_sim.options.options import CommandOptions, options_of, values_of
 from skd_sim.ros.support import declare, run_node
 from skd_sim.world.episode import Mode, Outcome
 
+from skd_evaluator.assessment import from_options
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.result_folder import ResultFolder
-from skd_evaluator.assessment.from_options import (
-    default_folder,
-    inputs_of,
-    plan_of,
-    refuse_to_replace,
-    scenario_for,
-    with_requested_period,
-)
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions, managed_nodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
@@ -62,17 +55,19 @@ class EvaluatorProcess(Evaluator):
         super().__init__()
         self._settings = declare(self, *TABLES)
         values = self._settings
-        scenario = scenario_for(values["scenario"], values["safe"])
+        scenario = from_options.scenario_for(values["scenario"], values["safe"])
         self._objectives = objectives_named(values["objective"])
-        self._plan = plan_of(self._adversary_model_of_one() if values["task"] == "episode" else values, scenario)
+        self._plan = from_options.plan_of(
+            self._adversary_model_of_one() if values["task"] == "episode" else values, scenario
+        )
         car = self._plan.car
         if not car.is_external:
             clocked = check_controller(car, scenario)
         else:
-            clocked = with_requested_period(scenario, values["control_period"] or None)
+            clocked = from_options.with_requested_period(scenario, values["control_period"] or None)
         self._plan = replace(self._plan, scenario=clocked)
-        folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
-        refuse_to_replace(folder, inputs_of(values))
+        folder = Path(values["out"]).expanduser() if values["out"] else from_options.default_folder(values["task"])
+        from_options.refuse_to_replace(folder, from_options.inputs_of(values))
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
 
     def _adversary_model_of_one(self) -> dict[str, Any]:

@@ -34,22 +34,13 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, counts_in_words
 from skd_evaluator.assessment.options import RESTART, managed_nodes
 from skd_evaluator.driving.drive import Drive, HandFor, LeftError, Show, Wish
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.ros import processes
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.processes import (
-    ADVERSARY,
-    CONTROLLER,
-    GraphSetting,
-    Supervisor,
-    campaign_name,
-    concerned,
-    graph_programs,
-    log_of,
-)
 from skd_evaluator.ros.stack import resetting
 
 
 @contextmanager
-def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iterator[Evaluator]:
+def running_graph(setting: processes.GraphSetting, watched: Watched | None = None) -> Iterator[Evaluator]:
     """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
 
     Args:
@@ -64,9 +55,9 @@ def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iter
     car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
     composed = watched is None and options.composes(setting.simulator)
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    programs = graph_programs(options, setting.car, environment, composed=composed)
+    programs = processes.graph_programs(options, setting.car, environment, composed=composed)
     if watched is not None:
-        del programs[ADVERSARY]
+        del programs[processes.ADVERSARY]
     anew = RESTART in options.resets
 
     def check_processes() -> str | None:
@@ -76,11 +67,11 @@ def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iter
 
     def before_episode() -> str | None:
         if anew:
-            supervisor.restart([CONTROLLER])
+            supervisor.restart([processes.CONTROLLER])
         return reset()
 
     with ExitStack() as stack:
-        supervisor = stack.enter_context(Supervisor(programs, setting.log_folder, setting.say))
+        supervisor = stack.enter_context(processes.Supervisor(programs, setting.log_folder, setting.say))
         context, nodes = stack.enter_context(_place_in(domain))
         evaluator = Evaluator(context, options if composed else None, start_parameter_services=False)
         nodes.append(evaluator)
@@ -90,12 +81,12 @@ def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iter
         managed = managed_nodes(options.lifecycle_nodes)
         reset = stack.enter_context(resetting(context, managed, options.startup_timeout, check_processes))
         evaluator.begin_campaign(
-            setting.campaign or campaign_name(setting.car),
+            setting.campaign or processes.campaign_name(setting.car),
             record_to=setting.record_to,
             silence_limit=options.startup_timeout + 30.0,
             check_processes=check_processes,
             before_episode=before_episode,
-            after_silence=lambda reason: supervisor.restart(concerned(reason)),
+            after_silence=lambda reason: supervisor.restart(processes.concerned(reason)),
             commands=options,
             own_world=True,
             anew=anew,
@@ -111,7 +102,9 @@ def running_graph(setting: GraphSetting, watched: Watched | None = None) -> Iter
         except AssessmentError as error:
             reasons = evaluator.failures.reasons
             counts = f"; aborted were {counts_in_words(reasons)}" if reasons else ""
-            error.args = (f"{error}{counts}; log: {log_of(setting.log_folder, str(error))}",)  # its kind stays
+            error.args = (
+                f"{error}{counts}; log: {processes.log_of(setting.log_folder, str(error))}",
+            )  # its kind stays
             raise
 
 

@@ -33,7 +33,7 @@ from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
 from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods, standing
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED, aborted_lines
 
 SAMPLE: Final = 24
@@ -130,8 +130,6 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
     try:
         with fresh() as runner:
             second = list(runner.run([log.episode for log in first]))
-    except OutOfReachError:
-        raise
     except (AssessmentError, UsageError, OSError) as error:  # OSError: what starts it is gone
         return (f"{NOT_CREDIBLE}{car} failed when {len(first)} episodes were run again: {error}",)
     changed = [(one, other) for one, other in zip(first, second, strict=True) if not is_same(one, other)]
@@ -198,8 +196,6 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
     """
     try:
         drives = undisturbed_drives(plan, runner)
-    except OutOfReachError:
-        raise
     except AssessmentError as error:
         return (f"{NOT_CREDIBLE}{UNDISTURBED}{plan.car.label} failed: {error}",)
     slow = [drive for drive in drives if drive.slows]

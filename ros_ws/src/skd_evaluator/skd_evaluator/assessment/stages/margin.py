@@ -25,7 +25,7 @@ from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers, available_workers, in_background
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.common_trajectories import earlier_version
@@ -211,8 +211,6 @@ def run(context: Context, assessment: Assessment) -> Assessment:
             found, search = minimal_deviations(
                 episodes, logs, context.workers, context.progress, context.margin_limit, context.earlier
             )
-    except OutOfReachError:
-        raise
     except AssessmentError as error:  # a car that fails only in the search still has its other figures
         return replace(assessment, margin_note=f"its search ended: {error}")
     hits = tuple(tuple(found[start : start + each]) for start in range(0, len(found), each))

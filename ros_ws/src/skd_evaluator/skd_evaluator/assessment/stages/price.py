@@ -23,7 +23,7 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Runner, stage
 from skd_evaluator.assessment.episode_figures import lane_left
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.price_of_caution import (
     BRAKING_LASTS,
     HARD_BRAKING,
@@ -74,8 +74,6 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     context.progress(LABEL, 0, 1)
     try:
         price = price_of_caution(plan, assessment.safe, runner, GRAPH_RUNS if external else RUNS)
-    except OutOfReachError:
-        raise
     except AssessmentError as error:  # a car that fails here alone has its other figures all the same
         return _not_known(assessment, f"its harmless runs ended: {error}")
     context.progress(LABEL, 1, 1)

@@ -27,7 +27,7 @@ from skd_evaluator.assessment.options import NO_BEHAVIOUR
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
@@ -144,8 +144,6 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         hits: dict[float, dict[int, EpisodeLog]] = {}
         scales = list(_scales(crossing_plan, context, assessment.confidence, hits))
         failures, failing = _failures(crossing_plan, scales, hits, context.workers)
-    except OutOfReachError:
-        raise
     except AssessmentError as error:  # a car that fails only here has figures all the same
         return replace(assessment, risk_note=f"its crossings ended: {error}")
     return replace(assessment, risks=Risks(request.behaviour.as_dict(), scales, failures, failing))

@@ -13,7 +13,7 @@ from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, stage
 from skd_evaluator.assessment.episode_figures import StaticTest
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.errors import AssessmentError
 
 
 def without_noise(scenario: Scenario) -> Scenario:
@@ -73,8 +73,6 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     chosen = [(place, episode) for place, episode in every if place in places]
     try:
         logs = list(context.workers.run([episode for _, episode in chosen]))
-    except OutOfReachError:
-        raise
     except AssessmentError as error:  # a car that fails here alone has its figures all the same
         tests = [StaticTest(place=place, aborted=str(error)) for place, _ in chosen]
     else:

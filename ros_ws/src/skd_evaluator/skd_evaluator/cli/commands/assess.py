@@ -32,7 +32,7 @@ from skd_evaluator.cli.arguments import (
 from skd_evaluator.cli.gate import Gate, add_gate_arguments, gate_of
 from skd_evaluator.cli.output import print_json, say
 from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser, make_parser, parse, rare
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import UNFINISHED
 
 if TYPE_CHECKING:  # help reads this module, and they take time
@@ -113,7 +113,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     except KeyboardInterrupt:
         done = False
         return kept.interrupted()
-    except AssessmentError as error:
+    except (AssessmentError, OutOfReachError) as error:
         done = not (arguments.graph or arguments.scheduler)  # else it is likely not the car's fault
         raise error if done else kept.failed(error) from error
     finally:
@@ -378,7 +378,7 @@ class _KeptEpisodes:
         say(self._arguments.command, f"interrupted; {again}")
         return EXIT_INTERRUPTED
 
-    def failed(self, error: AssessmentError) -> AssessmentError:
+    def failed(self, error: AssessmentError | OutOfReachError) -> AssessmentError | OutOfReachError:
         """Return the error with how to go on."""
         kept = self._count()
         return type(error)(f"{error}; {kept}; go on with: {self._go_on()}") if kept else error

@@ -31,15 +31,7 @@ from skd_sim.options.options import further_options
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.comparability import unlike_rows
 from skd_evaluator.assessment.context import Context, Progress, Runner
-from skd_evaluator.assessment.files.episode_store import (
-    FILE_NAME,
-    EpisodeStore,
-    StoppedError,
-    StoreError,
-    StoringRunner,
-    changes,
-    remove_files,
-)
+from skd_evaluator.assessment.files import episode_store
 from skd_evaluator.assessment.files.result_folder import csv_text, write_manifests
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import fresh_process
@@ -152,11 +144,11 @@ class CampaignFolder:
         then, now = ({str(cell["name"]): cell for cell in one["cells"]} for one in (before, requested))
         if other := sorted(then.keys() ^ now.keys()):
             raise UsageError(f"{self._option}: cell {other[0]} has {'come' if other[0] in now else 'gone'} {advice}")
-        for file, (first, second) in changes(before.get("files", {}), requested["files"]).items():
+        for file, (first, second) in episode_store.changes(before.get("files", {}), requested["files"]).items():
             how = "come" if first is None else "gone" if second is None else "changed"
             raise UsageError(f"{self._option}: file {file} of a car has {how} {advice}")
         for name, cell in now.items():
-            for key, (first, second) in changes(then[name], cell).items():
+            for key, (first, second) in episode_store.changes(then[name], cell).items():
                 what = f"has changed from {short(first)} to {short(second)}"
                 raise UsageError(f"{self._option}: {key} of cell {name} {what} {advice}")
 
@@ -165,7 +157,7 @@ class CampaignFolder:
         for cell in cells:
             self._remove_cell(self.path / cell)
             shutil.rmtree(self.path / f"{cell}.logs", ignore_errors=True)
-        remove_files(self.path / FILE_NAME)
+        episode_store.remove_files(self.path / episode_store.FILE_NAME)
         for name in (CAMPAIGN, TABLE, CELLS):
             (self.path / name).unlink(missing_ok=True)
 
@@ -317,14 +309,14 @@ class Campaign:
         todo = [cell for cell in cells if cell.name not in done]
         self.in_process = [cell for cell in todo if cell.graph is None]
         self.through_graph = [cell for cell in todo if cell.graph is not None]
-        self._runs: dict[str, StoringRunner] = {}
+        self._runs: dict[str, episode_store.StoringRunner] = {}
         self._unsaved: list[Cell] = []  # cells that are done, of which campaign.json does not know yet
         self._saved = self._cost = 0.0
-        self._store = EpisodeStore(folder.path / FILE_NAME) if todo else None
+        self._store = episode_store.EpisodeStore(folder.path / episode_store.FILE_NAME) if todo else None
         if self._store is not None:
             self._store.keep_only([cell.key for cell in todo])
         else:  # a campaign that was killed after its last cell has left it
-            remove_files(folder.path / FILE_NAME)
+            episode_store.remove_files(folder.path / episode_store.FILE_NAME)
         self._save()
 
     @property
@@ -349,7 +341,10 @@ class Campaign:
         """Close the store; delete it where all cells are done."""
         if self._store is None:
             return
-        with self._lock, suppress(OSError, StoreError):  # after an error, which then is what is to be said
+        with (
+            self._lock,
+            suppress(OSError, episode_store.StoreError),
+        ):  # after an error, which then is what is to be said
             self._save()
         if all(row["state"] == DONE for row in self.rows) and not self._unsaved:
             self._store.remove()
@@ -373,7 +368,7 @@ class Campaign:
         running = [pool.submit(self._try, cell, partial(self._assess, cell, runner, tell)) for cell in self.in_process]
         try:
             for future in concurrent.futures.as_completed(running):
-                with suppress(StoppedError):  # of a cell beside the one that has failed
+                with suppress(episode_store.StoppedError):  # of a cell beside the one that has failed
                     future.result()
         except BaseException:  # no thread may use the store or the runner after an error or an interrupt
             self._stop.set()
@@ -396,15 +391,15 @@ class Campaign:
     def _try(self, cell: Cell, work: Callable[[], None]) -> None:
         """Do the work of a cell; take note of a failure that is the cell's own."""
         if self._stop.is_set():
-            raise StoppedError
+            raise episode_store.StoppedError
         try:
             work()
-        except (StoreError, OutOfReachError):
+        except (episode_store.StoreError, OutOfReachError):
             self._stop.set()  # before this thread takes another cell
             raise
         except (AssessmentError, UsageError) as error:
             if self._stop.is_set():
-                raise StoppedError from error
+                raise episode_store.StoppedError from error
             with self._lock:
                 self._row_of(cell).update(state=FAILED, problems=[str(error)])
                 self._save(at_once=False)
@@ -429,9 +424,9 @@ class Campaign:
                 raise AssessmentError(f"its graph cannot run: {error}") from error
             self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), logs)
 
-    def _storing(self, cell: Cell, runner: Runner) -> StoringRunner:
+    def _storing(self, cell: Cell, runner: Runner) -> episode_store.StoringRunner:
         assert self._store is not None
-        self._runs[cell.name] = StoringRunner(runner, self._store, cell.key, self._stop)
+        self._runs[cell.name] = episode_store.StoringRunner(runner, self._store, cell.key, self._stop)
         return self._runs[cell.name]
 
     def _provenance(self, cell: Cell) -> dict[str, Any]:
@@ -447,7 +442,7 @@ class Campaign:
 
         with self._lock:
             if self._stop.is_set():
-                raise StoppedError
+                raise episode_store.StoppedError
             digests = self._folder.write_cell(cell.name, write)
             row = done_row(cell, assessment, maximum_aborted=self._maximum_aborted, digests=digests)
             self._row_of(cell).update(row)

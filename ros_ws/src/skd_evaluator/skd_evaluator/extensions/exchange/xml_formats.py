@@ -25,15 +25,7 @@ from skd_sim.scenario.road import ONCOMING, Road, right_and_along, road_curvatur
 from skd_sim.scenario.road_user import CAR, height_of
 from skd_sim.world.state import FloatArray
 
-from skd_evaluator.extensions.exchange.scene import (
-    EGO,
-    EGO_ID,
-    ROAD_FILE,
-    Actor,
-    ExportedEpisode,
-    lanes_of,
-    stretch,
-)
+from skd_evaluator.extensions.exchange import scene
 from skd_evaluator.report.html.template import filled
 
 
@@ -51,14 +43,14 @@ def _write(path: Path, template: str, **values: Any) -> None:
 # --- OpenDRIVE
 
 
-def write_road(path: Path, recorded: Sequence[ExportedEpisode]) -> None:
+def write_road(path: Path, recorded: Sequence[scene.ExportedEpisode]) -> None:
     """Write the road on which some episodes of one scenario are, as long as they need it."""
     scenario = recorded[0].scenario
     road = scenario.road
     beside = sorted(number for number, lane in road.every_lane.items() if lane.beside)
     elsewhere = [number for number, lane in road.every_lane.items() if not lane.beside]
-    roads = [_road(road, beside, stretch(scenario, recorded))]
-    roads += [_road(road, [one], stretch(scenario, recorded, one)) for one in elsewhere]
+    roads = [_road(road, beside, scene.stretch(scenario, recorded))]
+    roads += [_road(road, [one], scene.stretch(scenario, recorded, one)) for one in elsewhere]
     _write(path, "opendrive.xodr.j2", called=one_line(scenario.name), date=recorded[0].date, roads=roads)
 
 
@@ -99,7 +91,7 @@ def _pieces(line: FloatArray, low: float, high: float) -> list[tuple[float, floa
 # --- OpenSCENARIO
 
 
-def write_openscenario(path: Path, recorded: ExportedEpisode) -> None:
+def write_openscenario(path: Path, recorded: scene.ExportedEpisode) -> None:
     """Write an episode; its road is in the file `ROAD_FILE` beside it.
 
     A car that was left out begins as it did, and another may drive it.
@@ -107,9 +99,12 @@ def write_openscenario(path: Path, recorded: ExportedEpisode) -> None:
     car, actors = recorded.scenario.car, recorded.actors
     if recorded.ego is None:
         size, centre = (car.front + car.rear, car.width, height_of(CAR)), 0.5 * (car.front - car.rear)
-        actors = (Actor(EGO, EGO_ID, None, size, centre, np.zeros(1), np.array([recorded.start])), *actors)
+        actors = (
+            scene.Actor(scene.EGO, scene.EGO_ID, None, size, centre, np.zeros(1), np.array([recorded.start])),
+            *actors,
+        )
     moving = [one for one in actors if not one.stands]
-    about = {"recorded": recorded, "road_file": ROAD_FILE, "ego": EGO}
+    about = {"recorded": recorded, "road_file": scene.ROAD_FILE, "ego": scene.EGO}
     _write(path, "openscenario.xosc.j2", actors=actors, moving=moving, **about)
 
 
@@ -119,18 +114,18 @@ _FIRST_LANELET = 10_001
 _GOAL = 20.0  # m behind the crossing line, and so long
 
 
-def write_commonroad(path: Path, recorded: ExportedEpisode) -> None:
+def write_commonroad(path: Path, recorded: scene.ExportedEpisode) -> None:
     """Write an episode.
 
     The car's task: from where it begins, to be beyond the crossing line within the scenario's horizon.
     """
-    scenario, lanes = recorded.scenario, lanes_of(recorded)
+    scenario, lanes = recorded.scenario, scene.lanes_of(recorded)
     x, y, heading, speed = recorded.start
     ahead = 0.5 * (scenario.car.front - scenario.car.rear)
     along = float(right_and_along(scenario.road.line, np.array([[x, y]]))[0, 1])
     goal = dict(zip(("x", "y", "heading"), road_pose(scenario.road.line, max(_GOAL, along + _GOAL)), strict=True))
 
-    def rows(actor: Actor) -> list[list[float]]:
+    def rows(actor: scene.Actor) -> list[list[float]]:
         ticks = np.rint(actor.times / scenario.time_step)
         found: list[list[float]] = np.column_stack([actor.centres, actor.states[:, 2:], ticks]).tolist()
         return found

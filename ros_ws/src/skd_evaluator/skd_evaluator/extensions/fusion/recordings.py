@@ -18,19 +18,11 @@ from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import FloatArray
 
+from skd_evaluator.bags import tracks
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.files import find_recordings
 from skd_evaluator.bags.read import ADVERSARY, CAR
-from skd_evaluator.bags.tracks import (
-    LONGEST_GAP,
-    TABLE_CAR,
-    TABLE_OTHER,
-    RecordingFrame,
-    Track,
-    bag_tracks,
-    one_frame,
-    table_tracks,
-)
+from skd_evaluator.bags.tracks import RecordingFrame, Track
 from skd_evaluator.bags.transforms import zigzag
 from skd_evaluator.extensions.fusion.trials import GAP_TOLERANCE, PhysicalTrial, figures_of, gap_to_crossing
 from skd_evaluator.metrics.surrogate_measures import clearances
@@ -65,16 +57,18 @@ def read_tracks(path: Path, car: str | None, other: str | None, damage: Damage |
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
     is_table = path.suffix.lower() == ".csv"
-    usual = (TABLE_CAR, TABLE_OTHER) if is_table else (CAR, ADVERSARY)
+    usual = (tracks.TABLE_CAR, tracks.TABLE_OTHER) if is_table else (CAR, ADVERSARY)
     first, second = car or usual[0], other or usual[1]
     if first == second:
         raise UsageError(f"{path}: car and road user are both {first!r}; say which is which")
     if is_table:
-        found = {name: one for name, one in table_tracks(path, [first, second]).items() if isinstance(one, Track)}
+        found = {
+            name: one for name, one in tracks.table_tracks(path, [first, second]).items() if isinstance(one, Track)
+        }
     else:
         files = [file for files in find_recordings([path], damage) for file in files]
-        found = bag_tracks(files, [first, second], damage=damage)
-    one_frame(path, found[first], found[second])
+        found = tracks.bag_tracks(files, [first, second], damage=damage)
+    tracks.one_frame(path, found[first], found[second])
     for one in found.values():
         _check_track(one)
     return found[first], found[second]
@@ -121,8 +115,8 @@ def _places_at(track: Track, times: FloatArray, *, holes: bool = False) -> Float
         there, trial = (f"{one[0]:.2f} to {one[-1]:.2f} s" for one in (known, times))
         raise UsageError(f"{track.where}: is tracked from {there}, and the trial is from {trial}{_why(track)}")
     hole = np.diff(known)[np.clip(np.searchsorted(known, times), 1, len(known) - 1) - 1].max()
-    if hole > LONGEST_GAP and not holes:
-        raise UsageError(f"{track.where}: has a hole of {hole:.2f} s, more than {LONGEST_GAP:g} s{_why(track)}")
+    if hole > tracks.LONGEST_GAP and not holes:
+        raise UsageError(f"{track.where}: has a hole of {hole:.2f} s, more than {tracks.LONGEST_GAP:g} s{_why(track)}")
     return np.column_stack([np.interp(times, known, column) for column in track.places.T])
 
 

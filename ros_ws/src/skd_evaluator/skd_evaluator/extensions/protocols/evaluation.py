@@ -23,7 +23,7 @@ from skd_evaluator.assessment.stages.checks import undisturbed_drives
 from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import static_episodes
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.protocols.matrices import Criterion, ProtocolMatrix, colour_of, matrix_of
 from skd_evaluator.extensions.protocols.result import Grid, GridCell
 from skd_evaluator.metrics.margins import Margins
@@ -248,8 +248,6 @@ def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
     """Return why a user's car does not drive as a test at a speed (km/h) has it; empty if it does."""
     try:
         slowest, *_ = undisturbed_drives(plan, runner)
-    except OutOfReachError:
-        raise
     except AssessmentError as error:  # it has a static test all the same
         return f"whether the car keeps its speed undisturbed is not known: {error}"
     if not slowest.slows:
@@ -265,8 +263,6 @@ def _with_margin(cell: GridCell, plan: Plan, request: ProtocolRequest, runner: W
     episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
     try:
         hits, search = minimal_deviations(episodes, {}, runner, lambda *_progress: None, request.margin_limit)
-    except OutOfReachError:
-        raise
     except AssessmentError as error:  # a car that fails where the search leads it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
     margins = Margins((tuple(hits),), plan.scenario.eta_max, search)

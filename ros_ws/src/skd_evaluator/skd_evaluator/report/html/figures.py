@@ -12,16 +12,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.metrics.statistics import mean
-from skd_evaluator.report.formats import (
-    NOTHING,
-    bounded,
-    counted,
-    interval,
-    number,
-    percent,
-    surrogate_groups,
-    surrogate_rows,
-)
+from skd_evaluator.report import formats
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import credibility, headline
@@ -45,7 +36,7 @@ def sentences_of(subject: Subject) -> list[str]:
     figures, ranking = subject.figures, subject.ranking
     if state_of(subject) == "failed":
         aborted = figures["aborted"]
-        why = f"{counted(aborted, 'episode')} were aborted" if aborted else "no trial ran"
+        why = f"{formats.counted(aborted, 'episode')} were aborted" if aborted else "no trial ran"
         return [f"This is no rating: no kamikaze ran to its end ({why}). It says nothing about the car."]
     first = headline(figures, named=False)  # it stands above
     if figures["deviation"] is None:
@@ -53,8 +44,8 @@ def sentences_of(subject: Subject) -> list[str]:
     adversary_model = figures.get("adversary_model")
     known = f" (adversary model: {adversary_model})" if adversary_model else ""
     hit = ranking["trials"] - ranking["failed"]
-    needed = f"needed {number(figures['deviation'], 2, 'm')} on average"
-    planned = f"Planned kamikazes{known} {needed}; {hit} of {counted(ranking['trials'], 'trial')} were hit"
+    needed = f"needed {formats.number(figures['deviation'], 2, 'm')} on average"
+    planned = f"Planned kamikazes{known} {needed}; {hit} of {formats.counted(ranking['trials'], 'trial')} were hit"
     counts = f"; one that was not counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
     return [first, f"{planned}{counts}."]
 
@@ -65,10 +56,12 @@ def warnings_of(subject: Subject) -> list[str]:
     found = figure_warnings(figures)
     for kind, reasons in figures["aborted_reasons"].items():
         first = f", the first one so: {reasons['first']}" if reasons.get("first") else ""
-        found.append(f"{counted(reasons['count'], 'episode')} aborted ({kind}){first}; they count in no figure")
+        found.append(f"{formats.counted(reasons['count'], 'episode')} aborted ({kind}){first}; they count in no figure")
     found += [f"measure {one['label']} failed: {one['error']}" for one in figures["measures"].values() if one["error"]]
     if figures["discarded_by_distance"]:
-        found.append(f"{counted(figures['discarded_by_distance'], 'pair')} discarded, above the maximum distance")
+        found.append(
+            f"{formats.counted(figures['discarded_by_distance'], 'pair')} discarded, above the maximum distance"
+        )
     found += [*(f"left out: {line}" for line in figures["left_out"]), *aborted_lines(figures), *figures["warnings"]]
     return list(dict.fromkeys(map(str, found)))
 
@@ -91,7 +84,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             found.append(f"What is said of {one.label} is {said}: its warnings say why.")
     left = [one.label for one in subjects if one.figures[key] is None]
     if key == "margin" and left:
-        named = ", ".join(left) if len(left) <= _FEW else counted(len(left), "car")
+        named = ", ".join(left) if len(left) <= _FEW else formats.counted(len(left), "car")
         found.append(f"The margin is not known of {named}, which no other figure ranks beside those that have one.")
     if len({one.safe_key for one in subjects}) > 1:
         found.append("Not all assessments are on the same φ: margins compare only where they are.")
@@ -101,8 +94,8 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
 
 
 def _bounded(one: Subject, key: str) -> str:
-    text = number(one.figures[key], 2, "m")
-    return bounded(one.figures, text) if key == "margin" else text
+    text = formats.number(one.figures[key], 2, "m")
+    return formats.bounded(one.figures, text) if key == "margin" else text
 
 
 def _ranking(members: Sequence[Subject], key: str) -> str:
@@ -117,7 +110,7 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         if _overlap(low.figures[f"{key}_ci95"], high.figures[f"{key}_ci95"])
     ]
     text = (
-        f"Of {counted(len(ranked), 'assessment')} on the same φ{which}, {last.label} has the greatest {name} "
+        f"Of {formats.counted(len(ranked), 'assessment')} on the same φ{which}, {last.label} has the greatest {name} "
         f"({_bounded(last, key)}) and {first.label} the least ({_bounded(first, key)})."
     )
     if out := [one.label for one in members if does_not_get_past(one.figures)]:
@@ -139,7 +132,7 @@ def unranked_notes(subjects: Sequence[Subject]) -> list[str]:
         if not one.figures["equivalent_multiplier_text"] and one.figures["equivalent_multiplier_note"]:
             groups.setdefault(str(one.figures["equivalent_multiplier_note"]), []).append(one.label)
     return [
-        f"{', '.join(labels) if len(labels) <= _FEW else counted(len(labels), 'car')}: {note}"
+        f"{', '.join(labels) if len(labels) <= _FEW else formats.counted(len(labels), 'car')}: {note}"
         for note, labels in groups.items()
     ]
 
@@ -157,12 +150,12 @@ def per_safe_rows(subject: Subject) -> list[dict[str, str | bool]]:
         {
             "name": str(row["name"]),
             "safe": bool(row["safe"]),
-            "margin": number(mean(margins) if margins.size else None),
-            "contact_rate": f"{percent(row['contact_rate'])} of {row['collision_runs']}",
-            "deviation": number(row["deviation"]),
+            "margin": formats.number(mean(margins) if margins.size else None),
+            "contact_rate": f"{formats.percent(row['contact_rate'])} of {row['collision_runs']}",
+            "deviation": formats.number(row["deviation"]),
             "trials": f"{mine['failed']} of {mine['trials'] - mine['aborted']}"
             + (f", {mine['aborted']} aborted" if mine["aborted"] else ""),
-            "skd": number(row["skd"]),
+            "skd": formats.number(row["skd"]),
         }
         for row, mine, margins in rows
     ]
@@ -170,10 +163,10 @@ def per_safe_rows(subject: Subject) -> list[dict[str, str | bool]]:
 
 def surrogate_cells(figures: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
     """Return each surrogate measure, and for each group of episodes its median, the worst, and where it is defined."""
-    count = len(surrogate_groups(figures))
+    count = len(formats.surrogate_groups(figures))
     return [
         (name, ["; ".join(texts[3 * place : 3 * place + 3]) for place in range(count)])
-        for name, texts in surrogate_rows(figures)
+        for name, texts in formats.surrogate_rows(figures)
     ]
 
 
@@ -195,7 +188,7 @@ def _origin_rows(origin: Mapping[str, Any] | None) -> list[tuple[str, str]]:
         ("date", str(origin["date"])),
         ("host", f"{origin['host']} ({origin['platform']}, Python {origin['python']})"),
         ("command line", str(origin["command"])),
-        ("git revision", f"{git['revision']}{', modified' if git['modified'] else ''}" if git else NOTHING),
+        ("git revision", f"{git['revision']}{', modified' if git['modified'] else ''}" if git else formats.NOTHING),
     ]
     files = origin["controller_files"]
     rows += [(f"SHA-256 of {one['path']}", str(one["sha256"])) for one in files[:_FILES]]
@@ -214,14 +207,17 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
         ("folder", str(subject.folder)),
         ("version of SKD", str(figures["version"])),
         ("controller", car.controller),
-        ("multiplier C", NOTHING if figures["multiplier"] is None else f"{figures['multiplier']:g}"),
+        ("multiplier C", formats.NOTHING if figures["multiplier"] is None else f"{figures['multiplier']:g}"),
         ("safe trajectories", f"{figures['safe']} ({len(figures['per_safe_trajectory'])})"),
         ("scenario", scenario_name(figures) or f"{figures['scenario']['name']} (of its own: see the file below)"),
         ("seed", str(figures["seed"])),
         ("planner's budget", f"{figures['simulations']:,} simulations per decision"),
         ("objectives", ", ".join(figures["objectives"])),
-        ("maximum distance", number(figures["maximum_distance"], 2, "m")),
-        ("further options", ", ".join(f"{key} = {value}" for key, value in figures["options"].items()) or NOTHING),
+        ("maximum distance", formats.number(figures["maximum_distance"], 2, "m")),
+        (
+            "further options",
+            ", ".join(f"{key} = {value}" for key, value in figures["options"].items()) or formats.NOTHING,
+        ),
         ("adversary model", str(figures["adversary_model"])),
         ("model of the car", "fitted: see the file below" if figures["car_model"] else "none, or the known C"),
     ]
@@ -253,8 +249,8 @@ def _cell(one: Subject) -> dict[str, Any]:
     """Return margin, its interval, nominal collision rate, and whether the search had not converged, as shown."""
     figures = one.figures
     return {
-        "margin": bounded(figures, number(figures["margin"])),
-        "interval": interval(figures["margin_ci95"]),
-        "hit": percent(figures["nominal_collision_rate"]),
+        "margin": formats.bounded(figures, formats.number(figures["margin"])),
+        "interval": formats.interval(figures["margin_ci95"]),
+        "hit": formats.percent(figures["nominal_collision_rate"]),
         "unsure": figures["margin_converged"] is False,
     }

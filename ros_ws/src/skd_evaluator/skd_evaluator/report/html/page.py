@@ -18,37 +18,10 @@ from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
-from skd_evaluator.report.charts import (
-    PRICE_CAPTION,
-    against_multiplier,
-    chart_library,
-    charted,
-    comparison_charts,
-    price_chart,
-    priced_cars,
-    rated_cars,
-    rating_chart,
-    vulnerability_charts,
-)
-from skd_evaluator.report.formats import (
-    NO_RATING,
-    failures_in,
-    failures_sentence,
-    kept_failures,
-    surrogate_groups,
-)
+from skd_evaluator.report import charts, formats, repeat
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.subjects import Subject, episode_data, margin_hits, pack, scene, worst_first
 from skd_evaluator.report.html.template import SECTIONS, filled
-from skd_evaluator.report.repeat import (
-    BEHAVIOUR_FILE,
-    CAR_MODEL_FILE,
-    SCENARIO_FILE,
-    behaviour_name,
-    crossing_prefix,
-    repeat_prefix,
-    scenario_name,
-)
 from skd_evaluator.report.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.version import version
 
@@ -65,16 +38,16 @@ def render(subjects: Sequence[Subject]) -> str:
     Raises:
         AssessmentError: it would be larger even without any path.
     """
-    curves, comparisons = vulnerability_charts(charted(subjects)), comparison_charts(subjects)
-    rated, priced = rated_cars(subjects), priced_cars(subjects)
+    curves, comparisons = charts.vulnerability_charts(charts.charted(subjects)), charts.comparison_charts(subjects)
+    rated, priced = charts.rated_cars(subjects), charts.priced_cars(subjects)
     headings = {"curves": [one for one, _ in curves], "ratings": [one for one, _ in rated]}
     page = _page(subjects, {**headings, "prices": [one for one, _ in priced]}, len(comparisons))
     content = _content(subjects)
     content["charts"] = {
         "curves": [spec for _, spec in curves],
         "comparisons": comparisons,
-        "ratings": [rating_chart(cars, scale) for _, cars in rated for scale in SCALES],
-        "prices": [price_chart(cars) for _, cars in priced],
+        "ratings": [charts.rating_chart(cars, scale) for _, cars in rated for scale in SCALES],
+        "prices": [charts.price_chart(cars) for _, cars in priced],
     }
     kept = len(content["episodes"])
     while True:
@@ -97,7 +70,7 @@ def _page(subjects: Sequence[Subject], headings: Mapping[str, Sequence[str]], co
     views = [_view(one) for one in subjects]
     for view, colour in zip(views, palette.of_cars(len(views)), strict=True):
         view["colour"] = colour
-    script, library = _joined(_SCRIPTS), chart_library()
+    script, library = _joined(_SCRIPTS), charts.chart_library()
     return filled(
         "skd_evaluator.report.html",
         "report.html.j2",
@@ -108,31 +81,31 @@ def _page(subjects: Sequence[Subject], headings: Mapping[str, Sequence[str]], co
         sections=[section for name in SECTIONS.registered() if (section := SECTIONS.find(name)(subjects))],
         **headings,
         comparisons=comparisons,
-        price_caption=PRICE_CAPTION,
+        price_caption=charts.PRICE_CAPTION,
         scales=len(SCALES),
-        against=against_multiplier(subjects),
+        against=charts.against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
         of_margins=any(one.figures["margin"] is not None for one in subjects),
         hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
         gap_warning=GAP_WARNING,
         style=_template("style.css"),
-        no_rating=NO_RATING,
+        no_rating=formats.NO_RATING,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
         episodes=sum(len(one.episodes) for one in subjects),
         version=version(),
         palette=palette,
-        scenario_file=SCENARIO_FILE,
-        car_model_file=CAR_MODEL_FILE,
-        behaviour_file=BEHAVIOUR_FILE,
-        failures=any(failures_in(one.figures) for one in subjects),
+        scenario_file=repeat.SCENARIO_FILE,
+        car_model_file=repeat.CAR_MODEL_FILE,
+        behaviour_file=repeat.BEHAVIOUR_FILE,
+        failures=any(formats.failures_in(one.figures) for one in subjects),
         externals=any(CarUnderTest(str(one.figures["controller"])).is_external for one in subjects),
     )
 
 
 def _view(subject: Subject) -> dict[str, Any]:
     """Return what the template says of a subject."""
-    model, risky = subject.figures["car_model"], bool(failures_in(subject.figures))
+    model, risky = subject.figures["car_model"], bool(formats.failures_in(subject.figures))
     return {
         "label": subject.label,
         "state": figures.state_of(subject),
@@ -140,19 +113,19 @@ def _view(subject: Subject) -> dict[str, Any]:
         "rows": figure_rows(subject.figures),
         "bounds": bounds_of(subject.curve),
         "failures": failure_rows(subject.figures),
-        "failures_sentence": failures_sentence(subject.figures),
+        "failures_sentence": formats.failures_sentence(subject.figures),
         "behaviour": subject.figures["risk"]["behaviour"]["name"] if risky else "",
         "behaviour_link": _link(subject.figures["risk"]["behaviour"])
-        if risky and not behaviour_name(subject.figures)
+        if risky and not repeat.behaviour_name(subject.figures)
         else "",
         "per_safe": figures.per_safe_rows(subject),
         "surrogates": figures.surrogate_cells(subject.figures),
-        "walkers": [name for name, _ in surrogate_groups(subject.figures)],
+        "walkers": [name for name, _ in formats.surrogate_groups(subject.figures)],
         "same_safe": figures.same_safe(subject),
         "warnings": figures.warnings_of(subject),
         "made": figures.made_rows(subject),
         "scenario": _json_text(subject.figures["scenario"]),
-        "scenario_link": "" if scenario_name(subject.figures) else _link(to_yaml(subject.figures["scenario"])),
+        "scenario_link": "" if repeat.scenario_name(subject.figures) else _link(to_yaml(subject.figures["scenario"])),
         "car_model_link": _link(_json_text(model)) if model else "",
     }
 
@@ -180,7 +153,7 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
 
 
 def _subject(index: int, subject: Subject, most: int) -> dict[str, Any]:
-    kept = kept_failures(subject.figures)
+    kept = formats.kept_failures(subject.figures)
     failures = [
         {**episode_data(index, subject, subject.failing, number), "failure": f"{one.text}; {one.likely}"}
         for number, one in enumerate(kept)
@@ -193,9 +166,9 @@ def _subject(index: int, subject: Subject, most: int) -> dict[str, Any]:
         "margins": [[round(value, 3) for value in margins.tolist()] for margins in subject.margins],
         "least": margin_hits(subject, most),
         "failures": failures,
-        "repeatFailure": join(crossing_prefix(subject.figures)) if kept else "",
+        "repeatFailure": join(repeat.crossing_prefix(subject.figures)) if kept else "",
         "repeat": {
-            name: join(repeat_prefix(subject.figures, Mode.KAMIKAZE if name else Mode.REPLAY, name))
+            name: join(repeat.repeat_prefix(subject.figures, Mode.KAMIKAZE if name else Mode.REPLAY, name))
             for name in ("", *subject.figures["objectives"])
         },
     }
