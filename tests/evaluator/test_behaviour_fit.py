@@ -62,7 +62,7 @@ def test_tracks_are_read_from_csv(tmp_path):
     found = read_tracks([tmp_path / "csv"], Damage())
     assert [one.name for one in found] == ["000", "001"]  # the third is too short for a residual
     np.testing.assert_allclose(found[1].positions, ways[1], atol=1e-9)
-    with pytest.raises(UsageError, match="no track of at least 3 s in it; 1 shorter"):
+    with pytest.raises(UsageError, match="no track of at least 3 s; 1 shorter"):
         read_tracks([tmp_path / "csv" / "002.csv"], Damage())
 
 

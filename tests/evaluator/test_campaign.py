@@ -161,7 +161,7 @@ def test_walkers_are_as_many_different_safe_crossings_as_are_asked_for(name):
 
 
 def test_walkers_are_pedestrians():
-    with pytest.raises(UsageError, match=r"--safe walkers .* pedestrian; that of cyclist is a cyclist"):
+    with pytest.raises(UsageError, match="--safe walkers needs a pedestrian; cyclist has a cyclist"):
         Plan(load_scenario("cyclist"), safe="walkers")
 
 

@@ -57,7 +57,7 @@ def test_a_car_that_no_family_describes_is_called_so(tmp_path, capsys):
     assert run("fit", tmp_path / "probe", "--out", tmp_path / "cal") == 0
     err = capsys.readouterr().err
     assert "warning: held-out ticks contradict the model" in err
-    assert "warning: deceleration_noise is at the end of its range, 0.9" in err
+    assert "warning: deceleration_noise is 0.9, the end of its range" in err
 
 
 def test_assess_with_the_model(model, tmp_path, capsys):

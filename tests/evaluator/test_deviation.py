@@ -88,25 +88,6 @@ def test_a_batch_has_the_bits_of_singles(case: tuple[np.ndarray, list[tuple[np.n
     assert batch.tolist() == [deviation(phi, psi, duration) for psi, duration in psis]
 
 
-@pytest.mark.parametrize(
-    ("phi", "psi", "duration", "said"),
-    [
-        ([], [[0, 0]], 0.0, "phi must be n × d"),
-        ([[0, 0]], [0, 0], 0.0, r"psis\[0\] must be n × d"),
-        ([[0, 0]], [[0, math.inf]], 0.0, r"psis\[0\] has a coordinate that is not finite"),
-        ([[0, 0]], [[0, 0, 0]], 0.0, r"phi has 2 coordinates a position, psis\[0\] has 3"),
-        ([[0, 0]], [[0, 0]] * 3, 2.5, "must be from 1 to 2 ticks, got 2.5"),
-        ([[0, 0]], [[0, 0]], math.nan, "must be from 0 to 0 ticks, got nan"),
-    ],
-)
-def test_what_is_no_pair_is_refused(phi: object, psi: object, duration: float, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        deviation(phi, psi, duration)  # type: ignore[arg-type]
-    name = said.replace("psi ", "psis\\[0\\] ")
-    with pytest.raises(ValueError, match=name):
-        deviation_pairs(phi, [psi], [duration])  # type: ignore[arg-type,list-item]
-
-
 def of(distances: list[list[float]], failed: list[int], eta_max: float = 5.0) -> tuple[GroupedMean, GroupedMean]:
     trials = [np.array([*hits, *[np.inf] * missed]) for hits, missed in zip(distances, failed, strict=True)]
     return mean_deviation(trials, eta_max=eta_max)

@@ -154,5 +154,5 @@ def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(tmp_path, capsys):
     assert figures["deviation_of_successes"] > figures["eta_max"] == figures["margin"] == 0.3
     assert figures["margin_beyond"] == figures["margin_trials"] == 4
     assert not_credible(figures["warnings"]) == []
-    assert "give a greater --kamikaze-count or eta_max" in capsys.readouterr().err
+    assert "give a greater eta_max" in capsys.readouterr().err
     assert run_skd("verify", tmp_path / "near") == 0, capsys.readouterr().out

@@ -8,12 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.optimize import brentq, isotonic_regression
-from skd_evaluator.metrics.margins import (
-    difference,
-    equivalent_entries,
-    equivalent_multiplier,
-    isotonic_means,
-)
+from skd_evaluator.metrics.margins import difference, equivalent_entries, equivalent_multiplier, isotonic_means
 from skd_evaluator.metrics.statistics import wilson_interval
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 

@@ -21,21 +21,6 @@ def tuples_of_curves(count: int, longest: int = 12) -> st.SearchStrategy[tuple[n
     return st.integers(1, 4).flatmap(lambda d: st.tuples(*[curves(d, longest)] * count))
 
 
-def couplings(n: int, m: int, i: int = 0, j: int = 0):
-    """Yield every coupling from (i, j) to (n − 1, m − 1), by its definition."""
-    if (i, j) == (n - 1, m - 1):
-        yield [(i, j)]
-        return
-    for di, dj in ((1, 0), (0, 1), (1, 1)):
-        if i + di < n and j + dj < m:
-            for rest in couplings(n, m, i + di, j + dj):
-                yield [(i, j), *rest]
-
-
-def brute_force(p: np.ndarray, q: np.ndarray) -> float:
-    return min(max(math.dist(p[i], q[j]) for i, j in coupling) for coupling in couplings(len(p), len(q)))
-
-
 def row_by_row(p: np.ndarray, q: np.ndarray) -> float:
     """The textbook recurrence over a full table."""
     squared = sum((p[:, None, c] - q[None, :, c]) ** 2 for c in range(p.shape[1]))
@@ -50,13 +35,6 @@ def row_by_row(p: np.ndarray, q: np.ndarray) -> float:
 
 def walk(rng: np.random.Generator, n: int, dimension: int = 2) -> np.ndarray:
     return np.cumsum(rng.normal(size=(n, dimension)), axis=0)
-
-
-@settings(max_examples=150)
-@given(tuples_of_curves(2, longest=5))
-def test_equals_minimum_over_all_couplings(pair):
-    p, q = pair
-    assert discrete_frechet(p, q) == pytest.approx(brute_force(p, q), rel=1e-15, abs=0.0)
 
 
 @pytest.mark.parametrize("dimension", [1, 2, 3, 5])

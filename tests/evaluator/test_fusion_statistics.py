@@ -89,14 +89,6 @@ def test_saved_trials_are_those_that_an_interval_as_narrow_takes():
     assert trials_saved(10, 1.1, 0.95) == 0
 
 
-def test_figures_that_cannot_be_of_trials_are_refused():
-    x = np.arange(6.0)
-    with pytest.raises(ValueError, match="nothing is known of how they vary"):
-        alone(np.full(6, 0.7))
-    with pytest.raises(ValueError, match="the same data"):
-        fused(x, x, np.arange(9.0), fitted_line(x, x))
-
-
 def test_rates_hold_and_stay_rates():
     rng = np.random.default_rng(3)
     held, widths, used = 0, [], 0

@@ -13,7 +13,7 @@ import pytest
 from common import run_skd
 from skd_evaluator import Plan, load_result, run_episode
 from skd_evaluator.bags.tracks import RecordingFrame
-from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled, read_tracks
+from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled
 from skd_evaluator.extensions.fusion.trials import PhysicalTrial, read_trials, table_in
 from skd_evaluator.metrics.surrogate_measures import least_clearance
 from skd_evaluator.metrics.surrogate_scenes import scene_of
@@ -161,22 +161,6 @@ def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
     (line,) = overruled([missed, said])
     assert line.startswith("in 1 of 2 trials the car hits in the recording and not in the table")
     assert not overruled([missed, seen])
-
-
-@pytest.mark.parametrize(
-    ("rows", "says"),
-    [
-        ("t,id,x,y,x\n0,car,0,0,1\n", "two columns 'x'"),
-        ("t,id,x,y\n0,car,zero,0\n", "line 2: x must be a number"),
-        ("t,id,x,y\n0,car,0,0\n0,other,0,0\n", "1 position; a track has"),
-        ('t,id,x,y\n0,"a\nb",0,0\n', "has no object 'car' but 'a b'; name them"),
-    ],
-)
-def test_tables_of_tracks_that_are_none(tmp_path: Path, rows, says):
-    path = tmp_path / "a.csv"
-    path.write_text(rows, encoding="utf-8")
-    with pytest.raises(UsageError, match=says):
-        read_tracks(path, None, None)
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
     text = behaviour.read_text()
     behaviour.write_text(text.replace("value: 0.3\n", "value: 0.0\n"))
     for source in (behaviour, behaviour.parent):
-        with pytest.raises(UsageError, match=r"behaviour\.yaml: is not what was written: .* copy it to another folder"):
+        with pytest.raises(UsageError, match=r"behaviour\.yaml: is not what was written"):
             risk_request(str(source))
     shutil.copy(behaviour, tmp_path / "mine.yaml")
     assert risk_request(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")

@@ -183,20 +183,6 @@ def test_the_columns_give_what_is_counted(results):
     assert (said["seed"], said["eta_max"]) == (arrays["seed"], arrays["eta_max"])
 
 
-def test_contact_lies_where_the_adversary_was(results):
-    """On the way of the last tick, as far along it as the time of the contact says, and nowhere for the others."""
-    arrays = np.load(results / "episodes.npz")
-    touched = np.flatnonzero(arrays["outcome"] == Outcome.COLLISION)
-    assert touched.size
-    assert np.isnan(np.delete(arrays["contact"], touched, axis=0)).all()
-    for row in touched:
-        before, after = arrays["positions"][arrays["offsets"][row + 1] - 2 : arrays["offsets"][row + 1]]
-        ticks = arrays["offsets"][row + 1] - arrays["offsets"][row] - 2
-        share = arrays["impact_time"][row] / arrays["time_step"] - ticks
-        assert 0.0 <= share <= 1.0 + 1e-9
-        assert arrays["contact"][row] == pytest.approx((1.0 - share) * before + share * after, abs=1e-9)
-
-
 def test_every_array_and_code_is_described(results):
     table = FILES[FILES.index("## episodes.npz") : FILES.index("## surrogate_measures.csv")]
     arrays = np.load(results / "episodes.npz")

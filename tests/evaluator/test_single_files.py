@@ -45,12 +45,7 @@ def test_a_full_disk_leaves_what_was_there(there: str | None, skd_here: Run, her
     assert there is None or (here / "place" / "c.yaml").read_text() == there
 
 
-ODD = [
-    "cpna #2.yaml",
-    "a: b.yaml",
-    "two\nlines.yaml",
-    "*a",
-]
+ODD = ["cpna #2.yaml", "a: b.yaml", "two\nlines.yaml", "*a"]
 
 
 @pytest.mark.parametrize("name", ODD)

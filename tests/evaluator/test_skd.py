@@ -120,12 +120,6 @@ def test_the_interval_of_the_bound_is_that_of_the_jackknife_over_safe_trajectori
     assert bound_interval(groups[:1], 0.5) is None
 
 
-@pytest.mark.parametrize(("flat", "solid"), [(2, 3), (3, 2)])
-def test_either_dimension_may_be_the_greater(flat, solid):
-    with pytest.raises(UsageError, match=f"{solid} coordinates a position, φ has {flat}"):
-        compute_skd([(path(np.zeros((4, flat))), [path(np.zeros((4, solid)))])])
-
-
 Coupling = tuple[tuple[int, int], ...]
 CURVES = st.integers(1, 5).flatmap(
     lambda count: arrays.arrays(np.float64, (count, 2), elements=st.floats(-10.0, 10.0, width=32))

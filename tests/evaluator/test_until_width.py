@@ -89,7 +89,7 @@ def test_recorded_phi_come_in_an_order_by_chance_and_end(tmp_path) -> None:
     assert len(set(names)) == 4
     assert [one.name for one in until(1e-9, plan)[1]] == names
     assert [one.name for one in until(1e-9, replace(plan, seed=1))[1]] != names
-    with pytest.raises(UsageError, match="batches of --safe-count 3"):
+    with pytest.raises(UsageError, match="batches of 3 φ"):
         until(0.1, replace(plan, safe_count=3))
     with pytest.raises(UsageError, match="--safe-count 2 or more"):
         until(0.1, replace(plan, safe_count=1))

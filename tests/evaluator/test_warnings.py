@@ -51,7 +51,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
 
     found = assessed(decide)
     (line,) = figure_warnings(found.as_dict())
-    assert "1 of 2 safe trajectories is not safe with this car, as two: 100 % of the runs" in line
+    assert "not safe with this car: 1 of 2 safe trajectories, e.g. two: 100 % of the runs" in line
     rows = found.as_dict()["per_safe_trajectory"]
     assert [(row["contact_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
         (0.0, 20, True),
@@ -140,7 +140,7 @@ def test_a_car_that_is_judged_by_slow_touches_is_named(p90, hit_speed, trials, s
     ("left", "scenario", "said"),
     [
         (0.3, "oncoming_lane", "in 30 % of the runs along φ: rate it with the other lane occupied, too"),
-        (0.3, "oncoming_traffic", "free, too, as scenario oncoming_lane"),
+        (0.3, "oncoming_traffic", "free, too (scenario oncoming_lane"),
         (0.3, "crossing", ""),
         (None, "oncoming_lane", ""),
     ],

@@ -147,14 +147,6 @@ def put(name: str, value: float) -> Callable[[Arrays], object]:
     return lambda arrays: arrays[name].__setitem__((-1,) * arrays[name].ndim, value)
 
 
-def test_what_is_right_is_read(copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_skd("fit", edited(copy, lambda arrays: None), "--json", "--out", tmp_path / "model") == 0
-    said = capsys.readouterr()
-    assert "left out" not in said.err
-    with np.load(copy / "episodes.npz") as arrays:
-        assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum())
-
-
 def test_what_is_not_credible_is_so_for_who_learns_from_it(copy, tmp_path, capsys):
     for path in (path for path in map(copy.joinpath, ("probe.json", "assessment.json")) if path.exists()):
         path.write_text(
@@ -170,35 +162,6 @@ def test_what_is_not_credible_is_so_for_who_learns_from_it(copy, tmp_path, capsy
         f"{NOT_CREDIBLE}assessment",
     ]
     assert not_credible_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
-
-
-@pytest.mark.parametrize("name", ["episodes.npz", "probe.json"])
-def test_what_the_manifest_knows_otherwise_is_refused(probe: Path, tmp_path: Path, refused: Refused, name: str) -> None:
-    changed = Path(shutil.copytree(probe, tmp_path / "changed"))
-    (changed / name).write_bytes((changed / name).read_bytes() + b" ")
-    assert f"{name}: is not what was written: its SHA-256 is another than in {MANIFEST}" in refused(changed)
-
-
-def changed(name: str, change: Callable[[Any], Any]) -> Callable[[Arrays], object]:
-    return lambda arrays: arrays.update({name: change(arrays[name])})
-
-
-@pytest.mark.parametrize(
-    ("edit", "part"),
-    [
-        (changed("car", lambda car: car[:-1]), "do not go together"),
-        (changed("time_step", lambda step: step * np.nan), "time step"),
-        (changed("offsets", lambda offsets: offsets[::-1].copy()), "do not go together"),
-        (changed("mode", lambda mode: mode + 7), "episodes.npz"),
-        (lambda arrays: arrays.pop("car"), "KeyError: 'car'"),
-        (put("positions", -1e9), "episodes.npz"),
-        (put("impact_speed", -1e9), "episodes.npz"),
-    ],
-)
-def test_columns_that_cannot_be(copy: Path, refused: Refused, edit: Callable[[Arrays], object], part: str) -> None:
-    line = refused(edited(copy, edit))
-    assert part in line
-    assert "episodes.npz" in line
 
 
 def test_what_is_damaged_can_be_left_out(copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -132,12 +132,7 @@ def unfinished_episodes(ids: Iterable[int]) -> list[str]:
 
 
 def missing_episodes(
-    announced: Iterable[int],
-    reached: Mapping[int, int],
-    *,
-    requested: int,
-    left_out: bool,
-    which: str = "",
+    announced: Iterable[int], reached: Mapping[int, int], *, requested: int, left_out: bool, which: str = ""
 ) -> list[str]:
     """Return which episodes the campaign must have had beside those that are recorded, a line each.
 

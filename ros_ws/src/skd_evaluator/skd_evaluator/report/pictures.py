@@ -143,10 +143,7 @@ def _panel_title(assessment: Assessment, result: ObjectiveResult, place: int, sh
 
 
 def _extent(
-    scenario: Scenario,
-    safe: Sequence[Trajectory],
-    logs: Sequence[EpisodeLog],
-    least: Sequence[Sequence[Trajectory]],
+    scenario: Scenario, safe: Sequence[Trajectory], logs: Sequence[EpisodeLog], least: Sequence[Sequence[Trajectory]]
 ) -> tuple[float, float, float, float]:
     """Return what every panel shows: x from and to, y from and to, m."""
     everything = [one.positions for one in (*safe, *(log.trajectory for log in logs), *(t for of in least for t in of))]

@@ -70,11 +70,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
         verdict = f"[bold]{_short(entry)}[/]{_disagreement(entry['differences'])}"
         cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
-    return narrow_table(
-        f"Compared with {escape(first)}; all intervals together hold with 95 %",
-        heads,
-        cells,
-    )
+    return narrow_table(f"Compared with {escape(first)}; all intervals together hold with 95 %", heads, cells)
 
 
 def _short(entry: Mapping[str, Any]) -> str:

@@ -40,9 +40,9 @@ def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
     rows = result["per_safe_trajectory"]
     if unsafe := [row for row in rows if not row["safe"]]:
         worst = max(unsafe, key=lambda row: float(row["contact_rate"]))
-        count = f"{len(unsafe)} of {counted(len(rows), 'safe trajectory')} not safe"
+        count = f"{len(unsafe)} of {counted(len(rows), 'safe trajectory')}"
         collide = f"{100 * worst['contact_rate']:.0f} % of the runs along it collide"
-        found.append(f"{count} with this car, e.g. {worst['name']}: {collide}")
+        found.append(f"not safe with this car: {count}, e.g. {worst['name']}: {collide}")
     found += _of_margin(result) if planned else []
     if (stopped := result["until_width"]) and not stopped["reached"]:
         found.append(stopped["text"])

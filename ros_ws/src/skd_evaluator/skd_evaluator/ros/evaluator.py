@@ -185,10 +185,7 @@ class Evaluator(support.GraphNode):
     """
 
     def __init__(
-        self,
-        context: Context | None = None,
-        composed: GraphOptions | None = None,
-        **node_arguments: Any,
+        self, context: Context | None = None, composed: GraphOptions | None = None, **node_arguments: Any
     ) -> None:
         """Make the topics on which it speaks; it listens from `begin_campaign` on.
 

@@ -24,13 +24,7 @@ from skd_evaluator.assessment.context import Context, Runner, stage
 from skd_evaluator.assessment.episode_figures import lane_left
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.metrics.price_of_caution import (
-    BRAKING_LASTS,
-    HARD_BRAKING,
-    HORIZON,
-    HarmlessRun,
-    PriceOfCaution,
-)
+from skd_evaluator.metrics.price_of_caution import BRAKING_LASTS, HARD_BRAKING, HORIZON, HarmlessRun, PriceOfCaution
 
 LABEL: Final = "price of caution"
 KINDS: Final = ("waits", "goes along", "goes away", "crosses before", "crosses after")

@@ -205,10 +205,7 @@ def ground_truth(recorded: ExportedEpisode) -> list[Any]:
         "lane": lanes,
         "lane_boundary": boundaries,
         "stationary_object": [
-            {
-                **_object(one, one.centres[0], float(one.states[0, 2])),
-                "classification": {"type": "TYPE_OTHER"},
-            }
+            {**_object(one, one.centres[0], float(one.states[0, 2])), "classification": {"type": "TYPE_OTHER"}}
             for one in recorded.actors
             if one.is_obstacle
         ],

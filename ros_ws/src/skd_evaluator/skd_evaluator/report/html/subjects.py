@@ -216,11 +216,7 @@ def _other(scenario: Scenario, index: int) -> dict[str, Any]:
     other = scenario.others[index]
     states = [scenario.others_at(tick)[index] for tick in range(1 if other.stands else scenario.ticks + 1)]
     places = np.array([state[:2] for state in states])
-    return {
-        **_body(other.shape),
-        "points": _rounded(places),
-        "headings": [round(state.heading, 3) for state in states],
-    }
+    return {**_body(other.shape), "points": _rounded(places), "headings": [round(state.heading, 3) for state in states]}
 
 
 def _rounded(points: FloatArray) -> list[list[float]]:
