@@ -17,11 +17,13 @@ from skd_evaluator.metrics.margins import UPPER_BOUNDS
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
 
 NOTHING = "–"
+Value = float | Sequence[float] | None
+"""A number or the ends of an interval; None where it is not defined."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """How something is written.
+    """How a number, or an interval, is written.
 
     Attributes:
         nothing: text for a number that is not defined.
@@ -35,35 +37,24 @@ class Style:
     minus: str = "-"
     percent: str = " %"
 
-    def number(self, value: float | None, digits: int = 3, unit: str = "") -> str:
+    def number(self, found: Value, digits: int = 3, unit: str = "") -> str:
         """Return a number with so many digits after the point, and its unit."""
-        if value is None:
-            return self.nothing
-        return f"{value:.{digits}f}{unit and ' ' + unit}".replace("-", self.minus)
+        return self._text(found, f".{digits}f", unit and f" {unit}").replace("-", self.minus)
 
-    def interval(self, ends: Sequence[float] | None, digits: int = 3) -> str:
-        """Return an interval."""
-        if ends is None:
-            return self.nothing
-        return self.around.format(*(f"{end:.{digits}f}" for end in ends)).replace("-", self.minus)
-
-    def share(self, value: float | None, digits: int = 1) -> str:
+    def share(self, found: Value, digits: int = 1) -> str:
         """Return a share as a percentage."""
-        return self.nothing if value is None else f"{100.0 * value:.{digits}f}{self.percent}"
+        return self._text(found, f".{digits}f", self.percent, 100.0)
 
-    def share_interval(self, ends: Sequence[float] | None, digits: int = 1) -> str:
-        """Return an interval of shares, as percentages."""
-        if ends is None:
-            return self.nothing
-        return self.around.format(*(f"{100.0 * end:.{digits}f}" for end in ends)) + self.percent
-
-    def probability(self, value: float | None, digits: int = 2) -> str:
+    def probability(self, found: Value, digits: int = 2) -> str:
         """Return a probability, which may be very small, with so many significant digits."""
-        return self.nothing if value is None else f"{value:#.{digits}g}"
+        return self._text(found, f"#.{digits}g")
 
-    def probability_interval(self, ends: Sequence[float] | None, digits: int = 2) -> str:
-        """Return an interval of probabilities."""
-        return self.nothing if ends is None else self.around.format(*(f"{end:#.{digits}g}" for end in ends))
+    def _text(self, found: Value, form: str, unit: str = "", times: float = 1.0) -> str:
+        if found is None:
+            return self.nothing
+        if isinstance(found, Sequence):
+            return self.around.format(*(f"{times * end:{form}}" for end in found)) + unit
+        return f"{times * found:{form}}{unit}"
 
     def value(self, figure: Figure, result: Mapping[str, Any]) -> str:
         """Return a figure of an assessment; of one that is spoken, its text."""
@@ -72,11 +63,7 @@ class Style:
             return bounded(result, str(result[f"{figure.key}_text"] or self.nothing))
         if figure.key in UPPER_BOUNDS and found is not None:
             return bounded(result, self.number(found, figure.kind.digits))
-        if figure.kind is SPEEDS:
-            return self.number(found and found["mean"], figure.kind.digits)
-        if figure.kind is PROBABILITY:
-            return self.probability(found, figure.kind.digits)
-        return (self.share if figure.kind.unit == "%" else self.number)(found, figure.kind.digits)
+        return self._of_kind(figure, found and found["mean"] if figure.kind is SPEEDS else found)
 
     def by_phi(self, figure: Figure, result: Mapping[str, Any]) -> str:
         """Return a figure's interval by φ."""
@@ -89,17 +76,19 @@ class Style:
     def _around(self, figure: Figure, result: Mapping[str, Any], end: str) -> str:
         if figure.spoken:
             return spoken_interval(result, f"{figure.key}_{end or CI95}_text") or self.nothing
-        found = result.get(f"{figure.key}_{end}") if end else None
-        if figure.kind is PROBABILITY:
-            return self.probability_interval(found, figure.kind.digits)
-        return (self.share_interval if figure.kind.unit == "%" else self.interval)(found, figure.kind.digits)
+        return self._of_kind(figure, result.get(f"{figure.key}_{end}") if end else None)
+
+    def _of_kind(self, figure: Figure, found: Value) -> str:
+        kind = figure.kind
+        write = self.probability if kind is PROBABILITY else self.share if kind.unit == "%" else self.number
+        return write(found, kind.digits)
 
 
 PAGE = Style(NOTHING, "{} to {}", "−")
 TERMINAL = Style("—", "[{}, {}]")
 BARE = Style("—", "[{}, {}]", percent="")
 """Where the unit stands above."""
-number, interval, percent = PAGE.number, PAGE.interval, PAGE.share
+number, percent = PAGE.number, PAGE.share
 
 
 def ninety(figure: Figure, result: Mapping[str, Any]) -> str:

@@ -176,7 +176,7 @@ def _trend_row(run: Run, figure: str, compared: Comparison | None) -> dict[str, 
 
 _UNKNOWN = "unknown"
 """Commit of code that is in no checkout."""
-_number, _interval = TERMINAL.number, TERMINAL.interval
+_number = TERMINAL.number
 
 
 def runs_table(runs: Sequence[Run]) -> Table:
@@ -188,7 +188,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
             escape(run.car),
             escape(run.scenario),
             bounded_cell(run.figures, _number(run.figures["margin"])),
-            _interval(run.figures["margin_ci95"], 2),
+            _number(run.figures["margin_ci95"], 2),
             TERMINAL.share(run.figures["nominal_collision_rate"]),
             str(len(run.figures["per_safe_trajectory"])),
             run.revision or _UNKNOWN,
@@ -232,10 +232,10 @@ def trend_table(trend: Mapping[str, Any]) -> Table:
             bounded_cell(
                 row if figure.key == "margin" else {}, _number(None if row["value"] is None else scale * row["value"])
             ),
-            _interval(scaled(row["ci95"]), 2),
+            _number(scaled(row["ci95"]), 2),
             f"[bold]{row['verdict']}[/]{'' if row['credible'] else '[red] not credible[/]'}",
             "" if row["difference"] is None else f"{scale * row['difference']:+.3f}",
-            "" if row["difference"] is None else _interval(scaled(row["difference_interval"])),
+            "" if row["difference"] is None else _number(scaled(row["difference_interval"])),
             escape(os.path.relpath(row["folder"], parent)),
         ]
         for row in trend["runs"]

@@ -58,27 +58,21 @@ def _ranking(figures: Mapping[str, Any]) -> Mapping[str, Any]:
 def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each kind of failure, the most frequent first, with those that are kept and their places."""
     found = formats.failures_in(figures)
-    kept = list(enumerate(formats.kept_failures(figures)))
     names = [row["name"] for row in figures["per_safe_trajectory"]]
+    kept = enumerate(formats.kept_failures(figures))  # kind by kind, as in the file
     return [
         {
             "kind": group["kind"],
             "share": formats.percent(group["share"], 0) if group["share"] >= 0.005 else "< 1 %",
             "hits": str(group["hits"]),
             "nearest": [
-                {
-                    "place": place,
-                    "phi": names[where["safe_trajectory"]],
-                    "likely": one.likely,
-                    "speed": formats.number(where["impact_speed"], 1, "m/s"),
-                }
-                for (place, one), where in zip(
-                    [pair for pair in kept if pair[1].kind == group["kind"]], group["nearest"], strict=True
-                )
+                {"place": place, "phi": names[where["safe_trajectory"]], "likely": one.likely,
+                 "speed": formats.number(where["impact_speed"], 1, "m/s")}
+                for where, (place, one) in zip(group["nearest"], kept, strict=False)
             ],
         }
         for group in (found["kinds"] if found else ())
-    ]
+    ]  # fmt: skip
 
 
 def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
@@ -189,8 +183,8 @@ def _planned_details(figures: Mapping[str, Any], style: formats.Style) -> list[F
             FigureRow(
                 f"success rate, {name}",
                 style.share(found["success_rate"]),
-                style.share_interval(found.get("success_rate_ci95")),
-                style.share_interval(found.get("success_rate_ci95_trials")),
+                style.share(found.get("success_rate_ci95")),
+                style.share(found.get("success_rate_ci95_trials")),
                 f"{tried} {'were hit' if found['plans_deviation'] else 'collided'}{walked}",
             )
         )
@@ -202,8 +196,8 @@ def _planned_details(figures: Mapping[str, Any], style: formats.Style) -> list[F
                 FigureRow(
                     name,
                     style.number(one["mean"]),
-                    style.interval(one["ci95"]),
-                    style.interval(one["ci95_pairs"]),
+                    style.number(one["ci95"]),
+                    style.number(one["ci95_pairs"]),
                     undefined,
                 )
             )
@@ -218,7 +212,7 @@ def _skd_details(figures: Mapping[str, Any], style: formats.Style) -> list[Figur
         sharper = cantelli_bound(float(eta), figures["skd"], figures["variance"])
         of = "of these kamikazes, from mean and variance of their distances"
         rows += [
-            FigureRow(f"P(d ≤ {eta} m) at most, Theorem 1", style.number(bound), style.interval(known), basis=of),
+            FigureRow(f"P(d ≤ {eta} m) at most, Theorem 1", style.number(bound), style.number(known), basis=of),
             FigureRow(f"P(d ≤ {eta} m) at most, Cantelli", style.number(sharper), basis="never above Theorem 1"),
         ]
     return rows

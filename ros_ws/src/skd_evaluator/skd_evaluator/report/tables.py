@@ -14,7 +14,7 @@ from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.report.formats import BARE, TERMINAL
 from skd_evaluator.report.terminal import bounded_cell, credibility, narrow_table
 
-_number, _interval = TERMINAL.number, TERMINAL.interval
+_number = TERMINAL.number
 
 
 def credibility_mark(row: Mapping[str, Any]) -> str:
@@ -42,7 +42,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         [
             f"{escape(row['car'])}{credibility_mark(row)}",
             bounded_cell(row, _number(row["margin"])),
-            _interval(row["margin_ci95"], 2),
+            _number(row["margin_ci95"], 2),
             TERMINAL.share(row["nominal_collision_rate"]),
             TERMINAL.probability(row["risk_1"]),
             _number(row.get("time_lost"), 1),
@@ -65,7 +65,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
         found = entry["differences"].get(shown)
         figures = ["—"] * 5
         if found is not None:
-            figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _interval(found["interval"])]
+            figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _number(found["interval"])]
             figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
         verdict = f"[bold]{_short(entry)}[/]{_disagreement(entry['differences'])}"
@@ -141,9 +141,9 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         table.add_row(
             f"  {row['multiplier']:.3f}",
             f"[bold]{_number(row['margin'], 3)}[/]",
-            _interval(row["margin_ci95"], 2),
+            _number(row["margin_ci95"], 2),
             _number(row["deviation"], 3),
-            _interval(row["deviation_ci95"], 2),
+            _number(row["deviation_ci95"], 2),
             BARE.share(row["contact_rate"]),
             _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
             BARE.share(row["kamikaze_success_rate"]),

@@ -25,7 +25,7 @@ _EXACT = 5e-4  # m, of which nothing is seen in three digits
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
-_number, _interval, _percent = formats.TERMINAL.number, formats.TERMINAL.interval, formats.TERMINAL.share
+_number, _percent = formats.TERMINAL.number, formats.TERMINAL.share
 _BOLD = ("margin", "equivalent_multiplier", "nominal_collision_rate", "skd")
 
 

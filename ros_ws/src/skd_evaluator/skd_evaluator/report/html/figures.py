@@ -250,7 +250,7 @@ def _cell(one: Subject) -> dict[str, Any]:
     figures = one.figures
     return {
         "margin": formats.bounded(figures, formats.number(figures["margin"])),
-        "interval": formats.interval(figures["margin_ci95"]),
+        "interval": formats.number(figures["margin_ci95"]),
         "hit": formats.percent(figures["nominal_collision_rate"]),
         "unsure": figures["margin_converged"] is False,
     }
