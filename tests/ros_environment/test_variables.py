@@ -89,5 +89,5 @@ def test_security_that_the_wheels_do_not_have(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setenv(name, os.environ.get(name, ""))  # which it may set
     monkeypatch.setattr(session, "ensure_ros", lambda: None)
     monkeypatch.setattr(session, "is_sourced", lambda _variables: False)
-    with pytest.raises(UsageError, match="ROS_SECURITY_ENABLE=true needs a Fast DDS with security libraries"):
+    with pytest.raises(UsageError, match="ROS_SECURITY_ENABLE=true needs security libraries"):
         session.prepare_ros(GraphOptions())
