@@ -81,15 +81,6 @@ def test_maximum_distance_leaves_out_and_counts():
     assert (found.discarded, found.distances.means) == (3, [1.5, None])
 
 
-@pytest.mark.parametrize("pairs", [[], [(crossing(5), [])], [(crossing(5), []), (crossing(6), [])]])
-def test_no_kamikaze_found_is_none_everywhere(pairs):
-    found = compute_skd(pairs)
-    for part in (found.distances, found.prefixes):
-        assert (part.mean, part.variance, part.plain_interval, part.interval) == (None,) * 4
-        assert part.values.shape == (0,)
-        assert len(part.groups) == len(pairs)
-
-
 def test_other_time_step_is_refused_by_name():
     psi = path([(0.0, 0.0), (1.0, 0.0)], "clip 7", time_step=0.1)
     with pytest.raises(UsageError, match=r"clip 7.*time step of 0.1 s.*0.3 s"):

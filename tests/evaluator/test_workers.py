@@ -7,60 +7,19 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from common import wait_until
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.workers import InProcessRunner, Workers, do, in_background
+from skd_evaluator.assessment.run.workers import InProcessRunner, in_background
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Mode, Outcome, kind_of
 
 
-class Over(Workers):
-    """Over an executor that is there; keeps count of what is handed out."""
-
-    def __init__(self, executor, workers=2):
-        super().__init__()
-        self.executor, self.count = executor, workers
-        self.at_work = self.tasks = 0
-        self.lock = threading.Lock()
-
-    def start(self, warm_up=(), *, inherited=lambda: None):
-        pass
-
-    def close(self, *, wait=True):
-        self.executor.shutdown(wait=wait, cancel_futures=True)
-
-    def _workers(self):
-        return self.count
-
-    def _again(self, work, items, lost, error):
-        raise error
-
-    def _submit(self, work, items):
-        with self.lock:
-            self.tasks += 1
-            self.at_work += 1
-        future = self.executor.submit(do, work, items)
-        future.add_done_callback(self._over)
-        return future
-
-    def _over(self, _future):
-        with self.lock:
-            self.at_work -= 1
-
-
 def square(item: int) -> int:
     return item * item
-
-
-def fails_at_31(item: int) -> int:
-    if item == 31:
-        raise AssessmentError("no more")
-    return item
 
 
 def dies_at_13(item: int) -> int:
@@ -71,16 +30,6 @@ def dies_at_13(item: int) -> int:
 
 def dies(_item: int) -> int:
     os._exit(5)
-
-
-@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
-def test_any_executor_gives_what_a_loop_gives(kind):
-    with Over(kind(2)) as runner:
-        assert list(runner.map(square, range(500))) == [item * item for item in range(500)]
-        found = runner.map(fails_at_31, range(100))
-        assert [next(found) for _ in range(31)] == list(range(31))
-        with pytest.raises(AssessmentError, match="no more"):
-            next(found)
 
 
 @pytest.mark.parametrize("count", [1, 2])

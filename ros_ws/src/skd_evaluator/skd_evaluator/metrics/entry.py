@@ -10,6 +10,8 @@ from operator import attrgetter
 from types import NoneType
 from typing import Annotated, Any, ClassVar, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from skd_evaluator.metrics.statistics import Interval
 
 Schema = Mapping[str, Any]
@@ -57,6 +59,8 @@ class Entry:
 def _plain(value: Any) -> Any:
     if isinstance(value, Entry):
         return value.as_dict()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):

@@ -78,7 +78,7 @@ def expected_width(
     """
     error, inside = math.sqrt((between + within / trials) / safe), within * safe * (trials - 1.0)
     if prior is None or not prior.can_tell(inside) or safe > _MANY:
-        return 2.0 * student_quantile(safe - 1.0, confidence) * error * _mean_of_root(safe - 1.0)
+        return 2.0 * student_quantile(safe - 1.0, confidence) * error * mean_of_root(safe - 1.0)
     counts = np.full(safe, float(trials))
     # Means whose sample has no skewness and the variance 1, and the values that their estimated variance may take.
     means = np.linspace(-1.0, 1.0, safe)
@@ -90,7 +90,7 @@ def expected_width(
     return float(0.5 * _FEW_WEIGHTS @ widths)
 
 
-def _mean_of_root(freedom: float) -> float:
+def mean_of_root(freedom: float) -> float:
     """Return the mean of an estimated standard error over the true one: √(χ²/ν) has it below 1."""
     return math.sqrt(2.0 / freedom) * math.exp(math.lgamma((freedom + 1.0) / 2.0) - math.lgamma(freedom / 2.0))
 

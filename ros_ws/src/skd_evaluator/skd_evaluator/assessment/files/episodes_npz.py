@@ -104,11 +104,6 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     }
 
 
-def _car_states(arrays: Mapping[str, Array]) -> FloatArray:
-    """Return the car's states as `EpisodeLog` has them."""
-    return np.column_stack([arrays["car"][:, :2], arrays["heading"], arrays["car"][:, 2]])
-
-
 def _index_of(assessment: Assessment, log: EpisodeLog) -> int:
     """Return the number of the φ that a run is along; recordings need not have every φ, so it may not be its own."""
     phi, number = log.episode.safe_trajectory, split_episode_id(log.episode.episode_id)[1]
@@ -396,7 +391,7 @@ def _taken(
         safe=safe,
         time_step=float(arrays["time_step"]),
         adversary=each(arrays["positions"]),
-        car=each(_car_states(arrays)),
+        car=each(np.column_stack([arrays["car"][:, :2], arrays["heading"], arrays["car"][:, 2]])),
         belief=each(arrays["belief"].astype(np.float64)) if "belief" in arrays else (),
         hit_speed=float(arrays["hit_speed"]),
         **{name: arrays[name][chosen].astype(kind) for name, kind in _PER_EPISODE.items()},

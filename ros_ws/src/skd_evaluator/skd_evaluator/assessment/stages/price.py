@@ -127,16 +127,13 @@ def _drive(runner: Runner, episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
     """Return the logs of drives until the car has passed; most do so soon, and the others are driven to the end."""
     scenario = episodes[0].scenario
     soon = math.ceil(_SOON * (scenario.car.start_gap / scenario.car.start_speed) / scenario.time_step)
-    logs = list(runner.run([_cut(one, soon) for one in episodes]))
+    ways = [one.safe_trajectory for one in episodes]
+    cut = [replace(one, safe_trajectory=way and way.prefix(soon + 1)) for one, way in zip(episodes, ways, strict=True)]
+    logs = list(runner.run(cut))
     slow = [number for number, log in enumerate(logs) if log.outcome == Outcome.ARRIVED and passes(log) >= HORIZON]
     for number, log in zip(slow, runner.run([episodes[number] for number in slow]), strict=True):
         logs[number] = log
     return logs
-
-
-def _cut(episode: EpisodeSpec, ticks: int) -> EpisodeSpec:
-    assert episode.safe_trajectory is not None
-    return replace(episode, safe_trajectory=episode.safe_trajectory.prefix(ticks + 1))
 
 
 def _scenario(scenario: Scenario) -> Scenario:

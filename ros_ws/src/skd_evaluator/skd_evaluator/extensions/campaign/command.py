@@ -244,7 +244,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
     from rich.markup import escape
 
-    from skd_evaluator.report.formats import interval, number, percent
+    from skd_evaluator.report.formats import number, percent
     from skd_evaluator.report.tables import credibility_mark
     from skd_evaluator.report.terminal import bounded_cell, narrow_table
 
@@ -254,7 +254,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         [
             f"{escape(str(row['name']))}{credibility_mark(row)}",
             bounded_cell(row, number(row["margin"])),
-            interval(row["margin_ci95"]),
+            number(row["margin_ci95"]),
             bounded_cell(row, number(row["equivalent_multiplier"])),
             percent(row["nominal_collision_rate"]),
             number(row["time_lost"], 1),

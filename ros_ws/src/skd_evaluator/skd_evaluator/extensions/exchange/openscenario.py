@@ -124,7 +124,7 @@ class _Entity:
         if self._number(follow, "initialDistanceOffset", "0") != 0.0:
             raise self._refused("begins within its trajectory (initialDistanceOffset), whose times do not")
         kind, shape = _shape(follow)
-        reader = {"Polyline": self._polyline, "Clothoid": self._clothoid, "Nurbs": self._nurbs}.get(kind)
+        reader = {"Polyline": self._points, "Clothoid": self._clothoid, "Nurbs": self._nurbs}.get(kind)
         if reader is None or shape is None:
             raise self._refused(f"follows a {kind}, which is not read; read are {_READ}")
         rows, timing = reader(shape), follow.find("TimeReference/Timing")
@@ -169,21 +169,18 @@ class _Entity:
 
     # Shapes: time (s, nan where there is none), x, y
 
-    def _polyline(self, shape: Element) -> FloatArray:
-        return self._points(shape.findall("Vertex"))
-
-    def _points(self, elements: Sequence[Element]) -> FloatArray:
+    def _points(self, shape: Element, kind: str = "Vertex") -> FloatArray:
         """Return time, x and y of vertices or control points, n × 3."""
         rows = [
             (self._number(one, "time") if "time" in one.attrib else math.nan, *self._place(one.find("Position")))
-            for one in elements
+            for one in shape.findall(kind)
         ]
         return np.array(rows, np.float64).reshape(-1, 3)
 
     def _nurbs(self, shape: Element) -> FloatArray:
         """Return places along a rational B-spline; its control points' times are a dimension like x and y."""
-        controls, order = shape.findall("ControlPoint"), int(self._number(shape, "order"))
-        points, weights = self._points(controls), np.array([self._number(one, "weight", "1") for one in controls])
+        order, points = int(self._number(shape, "order")), self._points(shape, "ControlPoint")
+        weights = np.array([self._number(one, "weight", "1") for one in shape.findall("ControlPoint")])
         knots = np.array([self._number(one, "value") for one in shape.findall("Knot")])
         if order < 2 or len(points) < order or len(knots) != len(points) + order:
             counts = f"{len(points)} control points and {len(knots)} knots"

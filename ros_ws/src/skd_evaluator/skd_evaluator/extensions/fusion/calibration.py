@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -38,6 +38,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS
 from skd_evaluator.metrics.clustered import student_quantile
+from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.metrics.surrogate_scenes import Interaction
 
@@ -237,7 +238,7 @@ _SHOWN = 0.01
 
 
 @dataclass(frozen=True)
-class ParameterEstimate:
+class ParameterEstimate(Entry):
     """A parameter as the trials have it.
 
     Attributes:
@@ -245,18 +246,20 @@ class ParameterEstimate:
         value: estimated, or the scenario's where the trials say nothing.
         interval: of 95 %; None where the trials say nothing.
         error: standard error; None likewise.
-        reason: why the trials say nothing; else empty.
+        reason: why the trials say nothing; else None.
     """
+
+    KEYS = "place=parameter.place unit=parameter.unit value ci95=interval standard_error=error reason"
 
     parameter: WorldParameter
     value: float
     interval: Interval | None
     error: float | None
-    reason: str = ""
+    reason: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatorCalibration:
+class SimulatorCalibration(Entry):
     """All parameters.
 
     Attributes:
@@ -268,12 +271,22 @@ class SimulatorCalibration:
         by_trial: of each trial, after.
     """
 
+    KEYS = (
+        "parameters covariance degrees_of_freedom=freedom places_off_before=before places_off_after=after "
+        "places_off_by_trial=by_trial"
+    )
+
     estimates: tuple[ParameterEstimate, ...]
     covariance: FloatArray
     freedom: float
     before: float
     after: float
     by_trial: FloatArray
+
+    @property
+    def parameters(self) -> dict[str, ParameterEstimate]:
+        """Them by name."""
+        return {one.parameter.name: one for one in self.estimates}
 
     @property
     def identified(self) -> tuple[ParameterEstimate, ...]:
@@ -295,27 +308,6 @@ class SimulatorCalibration:
             for one in self.identified
             if one.value in one.parameter.range
         ]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return what simulator.json says of them."""
-        return {
-            "parameters": {
-                one.parameter.name: {
-                    "place": one.parameter.place,
-                    "unit": one.parameter.unit,
-                    "value": one.value,
-                    "ci95": one.interval and list(one.interval),
-                    "standard_error": one.error,
-                    "reason": one.reason or None,
-                }
-                for one in self.estimates
-            },
-            "covariance": self.covariance.tolist(),
-            "degrees_of_freedom": self.freedom,
-            "places_off_before": self.before,
-            "places_off_after": self.after,
-            "places_off_by_trial": self.by_trial.tolist(),
-        }
 
 
 def estimated(

@@ -294,7 +294,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     def show() -> None:
         start, rows = calibrated(world, {}), []
         for one in found.estimates:
-            parameter, estimate = one.parameter, ("—", one.reason)
+            parameter, estimate = one.parameter, ("—", one.reason or "")
             if one.interval is not None:
                 estimate = f"{one.value:.3g}", f"[{one.interval[0]:.3g}, {one.interval[1]:.3g}]"
             name = f"{parameter.text} ({parameter.unit})" if parameter.unit else parameter.text

@@ -50,6 +50,7 @@ from scipy import special
 from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import cluster_error, components_of, student_quantile
+from skd_evaluator.metrics.sample_size import mean_of_root
 from skd_evaluator.metrics.statistics import Interval, checked_confidence, score_interval
 
 _DRAWS, _NUMBERS = 2000, 2_000_000
@@ -382,7 +383,7 @@ def width_alone(trials: int, deviation: float, confidence: float = 0.95) -> floa
         confidence: two-sided.
     """
     freedom = trials - 1.0
-    return 2.0 * student_quantile(freedom, confidence) * _root(freedom) * deviation / math.sqrt(trials)
+    return 2.0 * student_quantile(freedom, confidence) * mean_of_root(freedom) * deviation / math.sqrt(trials)
 
 
 def width_fused(trials: int, deviation: float, correlation: float, simulated: int, confidence: float = 0.95) -> float:
@@ -398,7 +399,7 @@ def width_fused(trials: int, deviation: float, correlation: float, simulated: in
         confidence: two-sided.
     """
     freedom = trials - 2.0
-    left = (1.0 - correlation**2) / trials * (1.0 + 1.0 / (trials - 3.0)) * _root(freedom) ** 2
+    left = (1.0 - correlation**2) / trials * (1.0 + 1.0 / (trials - 3.0)) * mean_of_root(freedom) ** 2
     return 2.0 * student_quantile(freedom, confidence) * deviation * math.sqrt(left + correlation**2 / simulated)
 
 
@@ -426,8 +427,3 @@ def trials_for_width(
     counts = range(LEAST_PAIRS, (MOST if correlation is None else min(MOST, simulated)) + 1)
     found = bisect_left(counts, True, key=enough)
     return counts[found] if found < len(counts) else None
-
-
-def _root(freedom: float) -> float:
-    """Return the mean of an estimated standard deviation over the true one."""
-    return math.sqrt(2.0 / freedom) * math.exp(math.lgamma((freedom + 1.0) / 2.0) - math.lgamma(freedom / 2.0))
