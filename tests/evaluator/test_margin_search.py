@@ -16,6 +16,7 @@ from skd_evaluator.assessment.stages.margin import minimal_deviations
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.detours import detour
 from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.rounds import confirmed, in_processes
 from skd_evaluator.margin.search.search import IN_PROCESS, WARM_START, Earlier, Effort, SearchedMargins, search_margins
@@ -177,6 +178,30 @@ def test_after_a_drive_the_hit_that_another_action_gives_in_its_own_tick_is_foun
         assert group.trials[0].least <= least + 1e-9
         found += 1e-9 < least < math.inf
     assert found
+
+
+@pytest.mark.parametrize("scenario", ["crossing", "cut_in"])
+def test_a_detour_of_some_ticks_is_the_least_that_is_hit_if_the_car_drives_on(scenario):
+    """On the lane beside, a car turns out of it for some ticks, and its state decides where that leads."""
+    beside = np.column_stack([np.full(16, -3.5), -8.0 + 2.0 * np.arange(16)])
+    phi = {"crossing": bent(np.random.default_rng(4), 9), "cut_in": beside}[scenario]
+    episode = EpisodeSpec(
+        load_scenario(scenario), Mode.KAMIKAZE, 1, 0, safe_trajectory=Trajectory(phi, TIME_STEP), multiplier=0.0
+    )
+    space = Group([episode], 0).space
+    as_phi = np.full(space.ticks, space.as_phi)
+    drive, least = BasicController(0.0), math.inf
+    along = run_episode(prescribed(episode, space.positions(as_phi[None])[0]), drive)
+    for tick in range(len(along.adversary) - 1):
+        for action in range(space.action_count):
+            actions = as_phi.copy()
+            actions[tick : tick + 6] = action
+            log = run_episode(prescribed(episode, space.candidate(actions).positions), drive)
+            if log.hit and tick <= len(log.adversary) - 2 < tick + 6:
+                least = min(least, deviation(phi, log.trajectory.positions, log.impact_time / TIME_STEP))
+    assert least < math.inf
+    found, _ = detour(space, as_phi, along.adversary, along.car, math.inf, 6)
+    assert found == pytest.approx(least, abs=1e-9)
 
 
 @pytest.mark.parametrize("multiplier", [0.5, 1.15])

@@ -16,11 +16,12 @@ import numpy as np
 from skd_sim.kernels.compilation import bound
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import FloatArray
+from skd_sim.world.state import FloatArray, IntArray
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
     ADVERSARY_Y,
+    AS_PHI,
     CAR_S,
     STATE_DIM,
     CarKernels,
@@ -38,6 +39,7 @@ from skd_adversary.crossing.interfaces import (
     kernels_of,
     place_car,
     pointing,
+    possible,
     redraw_policy,
     resume_car,
     settle,
@@ -45,6 +47,7 @@ from skd_adversary.crossing.interfaces import (
     start_road_user,
     template,
     to_middle,
+    velocity,
 )
 from skd_adversary.crossing.kamikaze import DEVIATION
 from skd_adversary.crossing.objectives import FRECHET, PAPER, SAFE
@@ -273,47 +276,96 @@ def compose(
     )
 
 
-class RoadUserMotion:
-    """How a kind of road user can move outside of a search, by the kernels that plan with it."""
+@template(inline=False)
+def walk(parameters: Any, state: FloatArray, actions: IntArray, phi: FloatArray, positions: FloatArray) -> None:
+    """Write where a road user goes that takes actions from the start on.
 
-    def __init__(self, user: RoadUserModel, scenario: Scenario, path: FloatArray) -> None:
-        """Begin where φ (n × 2, m; may be one point) does."""
-        values = {
-            "time_step": scenario.time_step,
-            "adversary_speed": scenario.adversary.speed,
-            "crossing": scenario.end.crossing,
-            "path": np.array(path, dtype=np.float64, order="C"),
-            **user.parameters(scenario),
-        }
-        self._kernels, self._parameters = _motion_kernels(user.kernels), _parameters_class(*values)(**values)
-        self._state = np.zeros(user.kernels.own_dim)
-        self.begin()
+    Args:
+        parameters: of the road user.
+        state: is used up.
+        actions: number of the action in each tick.
+        phi: φ's own velocity in each tick, ticks × 2, m/s.
+        positions: at each tick, (ticks + 1) × 2, m; the first is given.
+    """
+    start_road_user(parameters, state)
+    for tick in range(actions.shape[0]):
+        if actions[tick] == AS_PHI:
+            vx, vy = possible(parameters, state, phi[tick, 0], phi[tick, 1])
+        else:
+            vx, vy = velocity(parameters, state, actions[tick])
+        settle(parameters, state, vx, vy, state)
+        positions[tick + 1, 0] = positions[tick, 0] + parameters.time_step * vx
+        positions[tick + 1, 1] = positions[tick, 1] + parameters.time_step * vy
 
-    def begin(self) -> None:
-        """Go back to the start."""
-        self._kernels["start_road_user"](self._parameters, self._state)
 
-    def velocity(self, action: int) -> Pair:
-        """Return the velocity of an action now, m/s."""
-        found: Pair = self._kernels["velocity"](self._parameters, self._state, action)
-        return found
+@template(inline=False)
+def hold(
+    parameters: Any, state: FloatArray, held: FloatArray, went: FloatArray, phi: FloatArray, found: FloatArray
+) -> None:
+    """Write the velocities of each action that is held, from each tick of a trajectory on.
 
-    def nearest(self, vx: float, vy: float) -> Pair:
-        """Return what comes nearest to a velocity (m/s) of all that it can have now."""
-        found: Pair = self._kernels["possible"](self._parameters, self._state, vx, vy)
-        return found
-
-    def move(self, vx: float, vy: float) -> None:
-        """Move for a tick at a velocity, m/s."""
-        self._kernels["settle"](self._parameters, self._state, vx, vy, self._state)
+    Args:
+        parameters: of the road user.
+        state: is used up.
+        held: likewise, of the same length.
+        went: velocity in each tick of the trajectory, ticks × 2, m/s.
+        phi: φ's own velocity in each tick, at least as many as are looked at, × 2, m/s.
+        found: velocities, ticks × (actions, as φ last) × how long it is held in ticks × 2, m/s.
+    """
+    start_road_user(parameters, state)
+    for tick in range(found.shape[0]):
+        for action in range(found.shape[1]):
+            held[:] = state
+            for later in range(found.shape[2]):
+                if action == AS_PHI:
+                    vx, vy = possible(parameters, held, phi[tick + later, 0], phi[tick + later, 1])
+                else:
+                    vx, vy = velocity(parameters, held, action)
+                settle(parameters, held, vx, vy, held)
+                found[tick, action, later, 0], found[tick, action, later, 1] = vx, vy
+        settle(parameters, state, went[tick, 0], went[tick, 1], state)
 
 
 @functools.cache
-def _motion_kernels(road_user: RoadUserKernels) -> dict[str, Any]:
-    return kernels_of(road_user, f"{road_user.name}_motion", {"USER_ROW": 0})
+def _motion_kernels(road_user: RoadUserKernels) -> tuple[Any, Any]:
+    name, parts = f"{road_user.name}_motion", {"USER_ROW": 0, "AS_PHI": road_user.action_count}
+    parts |= kernels_of(road_user, name, parts)
+    return bound(walk, name, parts), bound(hold, name, parts)
 
 
-def choices(user: RoadUserModel, scenario: Scenario, path: FloatArray, moved: FloatArray) -> FloatArray:
+def _motion_parameters(user: RoadUserModel, scenario: Scenario, path: FloatArray) -> Any:
+    values = {
+        "time_step": scenario.time_step,
+        "adversary_speed": scenario.adversary.speed,
+        "crossing": scenario.end.crossing,
+        "path": np.array(path, dtype=np.float64, order="C"),
+        **user.parameters(scenario),
+    }
+    return _parameters_class(*values)(**values)
+
+
+def walked(user: RoadUserModel, scenario: Scenario, path: FloatArray, sequences: IntArray) -> FloatArray:
+    """Return where sequences of actions lead, n × (ticks + 1) × 2, m.
+
+    Args:
+        user: kind of road user.
+        scenario: says how fast it is, and the time step.
+        path: φ, k × 2, m; may be one point.
+        sequences: number of the action in each tick, n × ticks; `action_count` is as φ.
+    """
+    count, ticks = sequences.shape
+    parameters, state = _motion_parameters(user, scenario, path), np.zeros(user.kernels.own_dim)
+    phi = path_velocities(path, ticks, scenario.time_step)
+    found = np.empty((count, ticks + 1, 2))
+    found[:, 0] = path[0]
+    for actions, positions in zip(sequences, found, strict=True):
+        _motion_kernels(user.kernels)[0](parameters, state, actions, phi, positions)
+    return found
+
+
+def choices(
+    user: RoadUserModel, scenario: Scenario, path: FloatArray, moved: FloatArray, longest: int = 1
+) -> FloatArray:
     """Return the velocities that a road user can choose in each tick of a trajectory, having gone it so far.
 
     Args:
@@ -321,14 +373,14 @@ def choices(user: RoadUserModel, scenario: Scenario, path: FloatArray, moved: Fl
         scenario: says how fast it is, and the time step.
         path: φ, k × 2, m; may be one point.
         moved: the trajectory, n × 2, m.
+        longest: ticks for which a choice is held.
 
     Returns:
-        (n − 1) × (action_count + 1) × 2, m/s; the last one is that which comes nearest to φ's own.
+        (n − 1) × (action_count + 1) × longest × 2, m/s; the last choice is that which comes nearest to φ's own.
     """
-    motion, actions = RoadUserMotion(user, scenario, path), range(user.kernels.action_count)
-    found = []
-    went = (np.diff(moved, axis=0) / scenario.time_step).tolist()
-    for phi, velocity in zip(path_velocities(path, len(went), scenario.time_step).tolist(), went, strict=True):
-        found.append([*map(motion.velocity, actions), motion.nearest(*phi)])
-        motion.move(*velocity)
-    return np.array(found).reshape(-1, len(actions) + 1, 2)
+    went = np.diff(moved, axis=0) / scenario.time_step
+    phi = path_velocities(path, len(went) + longest, scenario.time_step)
+    found = np.empty((len(went), user.kernels.action_count + 1, longest, 2))
+    state, held = np.zeros((2, user.kernels.own_dim))
+    _motion_kernels(user.kernels)[1](_motion_parameters(user, scenario, path), state, held, went, phi, found)
+    return found

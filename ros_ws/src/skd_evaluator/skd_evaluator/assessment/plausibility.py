@@ -187,7 +187,7 @@ def _adversary(log: EpisodeLog, found: Verdict) -> None:
     possible: list[FloatArray] = []
     as_phi = path_velocities(path, ticks, scenario.time_step)
     if episode.mode != Mode.REPLAY:
-        chosen = choices(user, scenario, path, walked)
+        chosen = choices(user, scenario, path, walked)[:, :, 0]
         possible, as_phi = [chosen[:, :-1]], chosen[:, -1]
     if follows_phi(episode):
         possible.append(np.broadcast_to(np.vstack([as_phi, np.zeros(2)]), (ticks, ticks + 1, 2)))

@@ -76,7 +76,7 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     if walked is None or len(walked) != tick + 1:
         raise ValueError(f"what a {user.name} can do at tick {tick} depends on the {tick + 1} places where it has been")
     so_far = np.vstack([walked, walked[-1:]])
-    return np.asarray(choices(user, scenario, path, so_far)[tick])
+    return choices(user, scenario, path, so_far)[tick, :, 0]
 
 
 def has_exact_margin(car: CarUnderTest, scenario: Scenario) -> bool:

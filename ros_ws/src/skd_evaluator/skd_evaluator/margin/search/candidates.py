@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary.crossing.model import RoadUserMotion, choices
-from skd_adversary.crossing.path import path_velocities
+from skd_adversary.crossing.model import choices, walked
 from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.road import right_and_along
@@ -68,8 +67,6 @@ class ActionSpace:
         self.ticks = ticks = scenario.ticks
         self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
         user = road_user_named(scenario.adversary.kind)
-        self._motion = RoadUserMotion(user, scenario, self.path)
-        self._phi_velocities = path_velocities(self.path, ticks, scenario.time_step).tolist()
         self._every = np.arange(ticks)
         self.table: FloatArray | None = None
         if user is PEDESTRIAN:
@@ -83,18 +80,21 @@ class ActionSpace:
     def positions(self, sequences: IntArray) -> FloatArray:
         """Return where sequences of actions (n × ticks) lead, n × (ticks + 1) × 2, m."""
         if self.table is None:
-            return np.array([self._moved(one) for one in sequences])
+            return walked(road_user_named(self.scenario.adversary.kind), self.scenario, self.path, sequences)
         found = np.empty((len(sequences), self.ticks + 1, 2))
         found[:, 0] = 0.0
         np.cumsum(self.scenario.time_step * self.table[self._every, sequences], axis=1, out=found[:, 1:])
         found += self.path[0]
         return found
 
-    def table_along(self, positions: FloatArray) -> FloatArray:
-        """Return the velocities of the actions in each tick of a trajectory (n × 2, m), n − 1 or more × actions × 2."""
+    def table_along(self, positions: FloatArray, longest: int) -> FloatArray:
+        """Return the velocities of actions that are held from each tick of a trajectory (n × 2, m) on.
+
+        They are ticks × actions × so many ticks × 2, m/s, or × 1 × 2 where they are those of the tick itself.
+        """
         if self.table is not None:
-            return self.table
-        return choices(road_user_named(self.scenario.adversary.kind), self.scenario, self.path, positions)
+            return self.table[:, :, None]
+        return choices(road_user_named(self.scenario.adversary.kind), self.scenario, self.path, positions, longest)
 
     def candidates(self, sequences: IntArray) -> list[Candidate]:
         """Return where sequences of actions lead, n × ticks."""
@@ -107,22 +107,6 @@ class ActionSpace:
     def candidate(self, actions: IntArray) -> Candidate:
         """Return where a sequence of actions leads."""
         return self.candidates(actions[None])[0]
-
-    def _moved(self, actions: IntArray) -> FloatArray:
-        """Return where a road user with a state of its own goes, positions at ticks, m."""
-        step, motion = self.scenario.time_step, self._motion
-        motion.begin()
-        x, y = self.path[0].tolist()
-        found = [(x, y)]
-        for action, (vx, vy) in zip(actions.tolist(), self._phi_velocities, strict=True):
-            if action == self.as_phi:
-                vx, vy = motion.nearest(vx, vy)
-            else:
-                vx, vy = motion.velocity(action)
-            motion.move(vx, vy)
-            x, y = x + step * vx, y + step * vy
-            found.append((x, y))
-        return np.array(found)
 
     def _reaches(self, positions: FloatArray) -> BoolArray:
         """Return whether the car may drive where the road user is, in each tick of positions, n × (ticks + 1) × 2."""
@@ -140,12 +124,12 @@ class ActionSpace:
 
     def actions_along(self, positions: FloatArray) -> IntArray:
         """Return the actions that come nearest to a trajectory, positions at ticks, n × 2, m; as φ after its end."""
-        found, walked = np.full(self.ticks, self.as_phi, np.int64), self.path[:1]
+        found, gone = np.full(self.ticks, self.as_phi, np.int64), self.path[:1]
         for tick, target in enumerate(positions[1 : self.ticks + 1]):
-            moves = velocities(self.scenario, self.path, tick, walked) if self.table is None else self.table[tick]
-            reached = walked[-1] + self.scenario.time_step * moves
+            moves = velocities(self.scenario, self.path, tick, gone) if self.table is None else self.table[tick]
+            reached = gone[-1] + self.scenario.time_step * moves
             found[tick] = int(np.argmin(np.hypot(*(reached - target).T)))
-            walked = np.concatenate([walked, reached[found[tick], None]])
+            gone = np.concatenate([gone, reached[found[tick], None]])
         return found
 
 

@@ -47,13 +47,21 @@ def detour(
         users: places of the road user then, at ticks, n × 2, m.
         cars: pose and speed of the car then, n × 4.
         bound: only hits with less deviation count, m.
-        longest: ticks, at most, from leaving the trajectory to the hit; 1 where velocities depend on the state.
+        longest: ticks, at most, from leaving the trajectory to the hit.
         first: tick before which it is not left.
     """
     scenario, car = space.scenario, space.scenario.car
     footprint, limits = (car.front, car.rear, car.half_width), (scenario.time_step, scenario.collision.hit_speed, bound)
     deviation, tick, action, length = _best_detour(
-        footprint, scenario.adversary.shape, limits, space.phi, space.table_along(users), users, cars, first, longest
+        footprint,
+        scenario.adversary.shape,
+        limits,
+        space.phi,
+        space.table_along(users, longest),
+        users,
+        cars,
+        first,
+        longest,
     )
     if tick < 0:
         return None
@@ -89,7 +97,8 @@ def _best_detour(
         for action in range(table.shape[1]):
             x, y, most = users[begin, 0], users[begin, 1], deviated
             for tick in range(begin, min(begin + longest, users.shape[0] - 1)):
-                vx, vy = table[tick, action, 0], table[tick, action, 1]
+                held = min(tick - begin, table.shape[2] - 1)
+                vx, vy = table[tick - held, action, held, 0], table[tick - held, action, held, 1]
                 x_to, y_to = x + step * vx, y + step * vy
                 away, away_y = x - phi[tick, 0], y - phi[tick, 1]
                 away_to, away_y_to = x_to - phi[tick + 1, 0], y_to - phi[tick + 1, 1]

@@ -83,7 +83,7 @@ class Group:
         self.reasons: list[str] = []
         self.sources = {source: Source() for source in SOURCES}
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((first.seed, first.episode_id))))
-        self._cars = [undisturbed_car(trial.prescribed) for trial in self.trials] if space.table is not None else []
+        self._cars = [undisturbed_car(trial.prescribed) for trial in self.trials]
         self._known: set[bytes] = set()
         self._guessed: set[tuple[int, bytes]] = set()
         self._guesses: list[list[tuple[float, IntArray]]] = [[] for _ in self.trials]
@@ -182,7 +182,7 @@ class Group:
         """Keep the detours of least deviation from what was driven: of one tick to be driven next, and of several."""
         index, source, (actions, *_), _ = proposal
         bound = self.trials[index].least * (1.0 - _LESS)
-        for longest in (1, self._drawn(_LONGEST)) if self._cars else (1,):
+        for longest in (1, self._drawn(_LONGEST)):
             found = detour(self.space, actions, log.adversary, log.car, bound, longest, 0)
             if found is None or (index, found[1].tobytes()) in self._guessed:
                 continue
@@ -198,7 +198,7 @@ class Group:
     def _excursion(self, index: int) -> IntArray:
         """Return an excursion from φ; some go on to where a car is hit that does not brake."""
         actions, tick = excursion(self._rng, self.space)
-        if self._cars and self._rng.random() < _AIMED:
+        if self._rng.random() < _AIMED:
             users, longest = self.space.positions(actions[None])[0], self._drawn(_LONGEST)
             bound = self.trials[index].least * (1.0 - _LESS)
             aimed = detour(self.space, actions, users, self._cars[index], bound, longest, tick)
