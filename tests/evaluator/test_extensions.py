@@ -15,7 +15,7 @@ from common import PATIENCE
 
 PACKAGE = Path(skd_evaluator.__file__).parent
 COMMANDS = {
-    "campaign": ["campaign"],
+    "campaign": ["campaign", "benchmark"],
     "exchange": ["export", "import"],
     "fusion": ["fuse"],
     "log": ["log"],

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
 import pytest
+from skd_sim.controllers import learned_policy
 from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import with_control_period
-from skd_sim.controllers.reference_drivers import RelativeState, idm_acceleration
+from skd_sim.controllers.reference_drivers import IdmConstants, RelativeState, idm_acceleration
 from skd_sim.options.car_under_test import REFERENCE_DRIVERS
 from skd_sim.scenario.scenario import changed_scenario, load_scenario
 from skd_sim.world.state import AdversaryState, CarState, Scene
@@ -145,7 +147,10 @@ def test_the_intelligent_driver_settles_at_the_published_gap():
     assert idm_acceleration(0.0, 33.0, math.inf, 0.0) == 0.73
 
 
-@pytest.mark.parametrize("name", [name for name in REFERENCE_DRIVERS if name != "aeb_honda"])
+STOP = [*(name for name in REFERENCE_DRIVERS if name != "aeb_honda"), "eidm", "krauss", "f1tenth", "nav2_monitor"]
+
+
+@pytest.mark.parametrize("name", STOP)
 def test_a_driver_stops_for_a_pedestrian_far_ahead_and_goes_on_without(name):
     """Honda's brake begins 1.5 s before the collision, and makes it weaker."""
     driver = make_controller(name)
@@ -159,6 +164,52 @@ def test_a_driver_stops_for_a_pedestrian_far_ahead_and_goes_on_without(name):
             y, speed = y + 0.05 * (speed + after), after
             assert person is free or y + scenario.car.front < 0.0
         assert speed == pytest.approx(scenario.car.start_speed if person is free else 0.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("name", "speed", "gap", "lead", "expected"),
+    [
+        ("krauss", 10.0, 30.0, 10.0, 2.6),  # 10 + (27.5 − 10)/(10/4.5 + 1) is more than it can reach
+        ("krauss", 10.0, 12.0, 10.0, 10.0 * (-0.5 / (10.0 / 4.5 + 1.0))),
+        ("krauss", 10.0, 3.0, 0.0, -9.0),
+        ("eidm", 10.0, 1e9, 0.0, 1.4 * (1.0 - 0.6**4)),
+        ("eidm", 10.0, 10.0, 10.0, None),
+        ("nav2_monitor", 10.0, 2.9, 0.0, -100.0),
+        ("nav2_monitor", 10.0, 15.0, 0.0, 10.0 * (7.5 - 10.0)),
+        ("nav2_monitor", 10.0, 90.0, 0.0, 1.0),
+    ],
+)
+def test_a_law_accelerates_as_published(name, speed, gap, lead, expected):
+    driver = made(name)
+    driver._desired = 10.0 / 0.6
+    if expected is None:  # equation 2.6 where the heuristic is 0
+        plain = idm_acceleration(speed, 10.0 / 0.6, gap, 0.0, IdmConstants(1.5, 1.4, 2.0, 2.0))
+        expected = 0.01 * plain + 0.99 * 2.0 * math.tanh(plain / 2.0)
+    assert driver._answer(speed, [situation(gap, speed, lead)]) == pytest.approx(expected)
+
+
+def test_the_brake_of_f1tenth_begins_a_second_before_what_stands_ahead():
+    law = made("f1tenth")
+    assert law.is_critical(situation(9.99, 10.0, 5.0))
+    assert not law.is_critical(situation(10.01, 10.0))
+    assert not law.is_critical(situation(0.5, 10.0, aside=4.0))  # a beam to the side hardly gets shorter
+
+
+@pytest.mark.parametrize("policy", ["broad", "narrow"])
+def test_a_learned_policy_is_its_network(policy):
+    """Against the product of matrices; and an output of −1 is full braking, of 1 the acceleration of who resumes."""
+    driver = learned_policy.LearnedPolicy()
+    driver.policy = policy
+    seen = learned_policy.features(situation(12.0, 8.0, 0.5, aside=0.7, closing=1.5))
+    values = np.array([12.0 / 20.0, 0.7 / 3.0, 1.0, 0.2, 0.6])
+    assert seen == pytest.approx(values)
+    layers = json.loads(learned_policy.WEIGHTS.read_text(encoding="utf-8"))[policy]
+    assert [len(one["bias"]) for one in layers] == [16, 16, 1]
+    for place, one in enumerate(layers):
+        values = values @ np.array(one["weights"]) + one["bias"]
+        values = values if place == 2 else np.maximum(values, 0.0)
+    assert driver._output(seen) == pytest.approx(values[0])
+    assert [learned_policy.acceleration_of(one) for one in (-5.0, -1.0, 1.0, 5.0)] == [-8.0, -8.0, 1.0, 1.0]
 
 
 def test_drivers_see_everybody():

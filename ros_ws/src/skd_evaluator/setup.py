@@ -12,6 +12,7 @@ setup(
         PACKAGE: [
             "__init__.pyi",
             "py.typed",
+            "extensions/campaign/*.yaml",
             "extensions/exchange/templates/*",
             "extensions/protocols/templates/*",
             "report/html/templates/*",
@@ -53,6 +54,7 @@ setup(
         ],
         "skd.commands": [
             "campaign = skd_evaluator.extensions.campaign.command:add_campaign",
+            "benchmark = skd_evaluator.extensions.campaign.benchmark:add_benchmark",
             "protocol = skd_evaluator.extensions.protocols.command:add_protocol",
             "fuse = skd_evaluator.extensions.fusion.command:add_fuse",
             "export = skd_evaluator.extensions.exchange.export_command:add_export",

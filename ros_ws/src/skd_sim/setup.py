@@ -8,7 +8,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["scenarios/*.yaml", "controllers/hazard_network.*", "__init__.pyi", "py.typed"]},
+    package_data={PACKAGE: ["scenarios/*.yaml", "controllers/*.json", "controllers/*.npz", "__init__.pyi", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

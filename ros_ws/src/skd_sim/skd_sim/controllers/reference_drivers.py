@@ -1,4 +1,4 @@
-"""Reference drivers: UN R157's careful and competent one, Reg157, RSS, the fuzzy safety model (FSM), brakes, and IDM.
+"""Published drivers: UN R157's careful and competent one, Reg157, RSS, fuzzy safety model, brakes, IDM, Krauss.
 
 A driver sees each road user along the road's centre line (`RelativeState`), and reacts to what its law calls critical:
 it brakes after a delay, with a bounded jerk. Laws and constants are published, each beside its source. They are stepped
@@ -320,6 +320,47 @@ class BerkeleyBrake(DistanceBrake):
         return (speed - lead) * self.DELAY + 0.5 * self.braking * self.DELAY**2
 
 
+class TimeToCollisionBrake(ReferenceDriver):
+    """The emergency brake of F1TENTH (`safety_node` of CL2-UWaterloo/f1tenth_ws): below 1 s of r/max(−ṙ, 0), it stops.
+
+    What a laser sees stands, to it. SKD's own variant asks the beam to the nearest corner of each road user alone.
+    """
+
+    THRESHOLD = 1.0  # s
+    BRAKING = 8.0  # m/s²: standstill is commanded, and a dry road gives this
+    delay, jerk = 0.0, math.inf
+
+    def is_critical(self, one: RelativeState) -> bool:
+        """Tell whether range by range rate is below the threshold."""
+        squared = one.gap**2 + max(0.0, one.aside + self._half_width) ** 2
+        return one.gap > 0.0 and squared <= self.THRESHOLD * one.speed * one.gap
+
+    def demand(self, one: RelativeState) -> float:
+        """Return full braking, m/s²."""
+        return self.BRAKING
+
+
+class CollisionMonitor(ReferenceDriver):
+    """Nav2's collision monitor with the polygons of examples/collision_monitor, below a planner that sees nobody.
+
+    `Approach` scales the requested speed by the time until its polygon is touched, over 2 s, if nothing but the car
+    moves. `Bumper` stops. SKD's own variant: road users are rectangles, no laser, no rounding to steps of 0.05 s.
+    """
+
+    AHEAD, BESIDE = 3.0, 0.6  # m, of Bumper from the front; of both polygons from the sides
+    BEFORE_COLLISION = 2.0  # s
+
+    def _answer(self, speed: float, found: list[RelativeState]) -> float:
+        """Return the acceleration (m/s²) to the speed that the monitor lets through."""
+        gap = min((one.gap for one in found if self.is_critical(one)), default=math.inf)
+        passed = 0.0 if gap <= self.AHEAD else min(self._desired, gap / self.BEFORE_COLLISION)
+        return min(RESUME, (passed - speed) / PERIOD)
+
+    def is_critical(self, one: RelativeState) -> bool:
+        """Tell whether it is in the strip of the polygons."""
+        return one.aside <= self.BESIDE
+
+
 EXPONENT = 4  # δ
 _LEAST_GAP = 0.01  # m, where the law would divide by nothing
 
@@ -376,8 +417,49 @@ class IdmDriver(ReferenceDriver):
     def _answer(self, speed: float, found: list[RelativeState]) -> float:
         """Return the least acceleration (m/s²) that any road user calls for."""
         gaps = [(one.gap, one.approach) for one in found if self.is_critical(one)] or [(math.inf, 0.0)]
-        return min(idm_acceleration(speed, self._desired, gap, approach) for gap, approach in gaps)
+        return min(self._acceleration(speed, gap, approach) for gap, approach in gaps)
+
+    def _acceleration(self, speed: float, gap: float, approach: float) -> float:
+        """Return the acceleration of the law (m/s²) behind one road user: gap in m, approach in m/s."""
+        return idm_acceleration(speed, self._desired, gap, approach)
 
     def is_critical(self, one: RelativeState) -> bool:
         """Tell whether it is ahead in the lane."""
         return one.gap >= 0.0 and one.aside <= self._beside
+
+
+class EnhancedIdmDriver(IdmDriver):
+    """The Enhanced IDM (Kesting, Treiber and Helbing 2010, arXiv 0912.3613), which SUMO's EIDM is built on.
+
+    Less braking for what cuts in: IDM gives way to the heuristic of constant accelerations. SKD knows no acceleration
+    of who is ahead, so that is 0. SUMO's reaction times and errors of estimation are left out.
+    """
+
+    CAR = IdmConstants(headway=1.5, acceleration=1.4, braking=2.0, standing_gap=2.0)  # table 1
+    COOLNESS = 0.99  # c
+
+    def _acceleration(self, speed: float, gap: float, approach: float) -> float:
+        """Return the acceleration of the model (equations 2.5 and 2.6), m/s²."""
+        plain = idm_acceleration(speed, self._desired, gap, approach, self.CAR)
+        constant = -(max(0.0, approach) ** 2) / (2.0 * max(gap, _LEAST_GAP))
+        if plain >= constant:
+            return plain
+        braking = self.CAR.braking
+        softened = constant + braking * math.tanh((plain - constant) / braking)
+        return (1.0 - self.COOLNESS) * plain + self.COOLNESS * softened
+
+
+class KraussDriver(IdmDriver):
+    """Krauss (thesis, Cologne 1998), with constants of SUMO's passenger cars; σ = 0: who drives does not dawdle."""
+
+    ACCELERATION, BRAKING, EMERGENCY = 2.6, 4.5, 9.0  # m/s²: accel, decel, emergencyDecel
+    REACTION = 1.0  # s, tau
+    STANDING_GAP = 2.5  # m, minGap
+
+    def _acceleration(self, speed: float, gap: float, approach: float) -> float:
+        """Return the acceleration (m/s²) to the safe speed, v_l + (g − v_l·τ)/((v + v_l)/(2b) + τ)."""
+        lead = max(0.0, speed - approach)
+        left = gap - self.STANDING_GAP - lead * self.REACTION
+        safe = lead + left / ((speed + lead) / (2.0 * self.BRAKING) + self.REACTION) if gap < math.inf else gap
+        wanted = max(0.0, min(safe, self._desired))
+        return min(self.ACCELERATION, max(-self.EMERGENCY, (wanted - speed) / PERIOD))

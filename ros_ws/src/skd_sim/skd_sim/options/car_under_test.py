@@ -57,9 +57,17 @@ _REFERENCE = {
 }
 REFERENCE_DRIVERS = tuple(_REFERENCE)
 """Published driver models that a car is compared with."""
+_FURTHER = {
+    "eidm": "reference_drivers:EnhancedIdmDriver",
+    "krauss": "reference_drivers:KraussDriver",
+    "f1tenth": "reference_drivers:TimeToCollisionBrake",
+    "nav2_monitor": "reference_drivers:CollisionMonitor",
+    "rl": "learned_policy:LearnedPolicy",
+    "rl_overtrained": "learned_policy:OvertrainedPolicy",
+}
 _OWN |= {
     name: ControllerKind(f"skd_sim.controllers.{target}", own=True, control_period=0.1)
-    for name, target in _REFERENCE.items()
+    for name, target in (_REFERENCE | _FURTHER).items()
 }
 CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
 _EXTERNAL = ControllerKind("")

@@ -117,8 +117,12 @@ class _Part:
     where: str = ""
 
 
-def read_campaign(path: Path) -> list[Combination]:
+def read_campaign(path: Path, further: Sequence[Mapping[str, Any]] = ()) -> list[Combination]:
     """Return the cells of a campaign's file, in its order: car by car, scenario by scenario, value by value.
+
+    Args:
+        path: the file.
+        further: entries of more cars.
 
     Raises:
         UsageError: it cannot be read, or something in it is wrong; says where.
@@ -126,7 +130,7 @@ def read_campaign(path: Path) -> list[Combination]:
     reader = _Reader(path)
     file = read_model(_CampaignFile, read_yaml(path), str(path))
     defaults = reader.values(file.defaults, "defaults")
-    cars = reader.entries(file.cars, "cars")
+    cars = reader.entries((*file.cars, *further), "cars")
     scenarios = [_Part({})] if file.scenarios is None else reader.entries(file.scenarios, "scenarios")
     sweeps = reader.sweeps(file.sweep, "sweep")
     reader.refuse_repeated({"cars": cars, "scenarios": scenarios, "sweep": sweeps})

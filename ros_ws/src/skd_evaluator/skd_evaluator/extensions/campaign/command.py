@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from skd_evaluator.assessment.compare.gate import Limit
     from skd_evaluator.extensions.campaign.campaign import Campaign
+    from skd_evaluator.extensions.campaign.campaign_file import Combination
     from skd_evaluator.extensions.campaign.cells import Cell
 
 _CELLS_ON_A_CLUSTER = 8
@@ -52,21 +53,36 @@ def add_campaign(parser: Parser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    from skd_evaluator.extensions.campaign.campaign_file import read_campaign
+    from skd_evaluator.extensions.campaign.cells import make_cells
+
+    limits = limits_of(arguments)
+    combinations = read_campaign(arguments.path)
+    if arguments.dry_run:
+        return _say_plan(make_cells(combinations), arguments)
+    done = run_combinations(combinations, arguments)
+    return EXIT_INTERRUPTED if done is None else _say_result(*done, arguments, limits)
+
+
+def run_combinations(
+    combinations: Sequence[Combination], arguments: argparse.Namespace
+) -> tuple[Mapping[str, Any], Path] | None:
+    """Run the cells of a campaign; return the content of campaign.json and the folder; None: interrupted.
+
+    Raises:
+        UsageError: a cell cannot run, or the folder cannot be taken.
+        OutOfReachError: no episode can be run any more.
+    """
     from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
     from skd_evaluator.errors import OutOfReachError
     from skd_evaluator.extensions.campaign.campaign import Campaign, CampaignFolder
-    from skd_evaluator.extensions.campaign.campaign_file import read_campaign
     from skd_evaluator.extensions.campaign.cells import make_cells
 
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
-    limits = limits_of(arguments)
-    combinations = read_campaign(arguments.path)
-    cells = make_cells(combinations)
-    if arguments.dry_run:
-        return _say_plan(cells, arguments)
     if arguments.resume and arguments.out is None:
         raise UsageError("--resume needs --out: the folder of the campaign to go on with")
+    cells = make_cells(combinations)
     _prepare_graphs(cells)
     out = output_path(arguments)
     if arguments.overwrite:
@@ -80,13 +96,14 @@ def run(arguments: argparse.Namespace) -> int:
                 _say_resumed(campaign, cells, quiet=arguments.quiet)
             _run_cells(campaign, arguments)
         except KeyboardInterrupt:
-            return _interrupted(campaign, arguments, out)
+            _say_interrupted(campaign, arguments, out)
+            return None
         except OutOfReachError as error:
             state = f"{_state(campaign)}; go on with: {_go_on(arguments, out)}"
             raise OutOfReachError(f"{error}; {state}") from error
         finally:
             campaign.close()
-        return _say_result(campaign, arguments, out, limits)
+        return campaign.content, out
     finally:
         folder.close()
 
@@ -171,11 +188,10 @@ def _state(campaign: Campaign) -> str:
     return f"{done}, and {counted(campaign.kept_episodes, 'episode')} of the others kept"
 
 
-def _interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
+def _say_interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> None:
     if arguments.json:
         print_json({"interrupted": True, **campaign.content})
-    say("campaign", f"interrupted; {_state(campaign)}; go on with: {_go_on(arguments, out)}")
-    return EXIT_INTERRUPTED
+    say(arguments.command, f"interrupted; {_state(campaign)}; go on with: {_go_on(arguments, out)}")
 
 
 def _go_on(arguments: argparse.Namespace, out: Path) -> str:
@@ -203,13 +219,12 @@ def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
     return finish(arguments, {"cells": rows, "episodes": total, "most": most}, show)
 
 
-def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path, limits: Sequence[Limit]) -> int:
+def _say_result(content: Mapping[str, Any], out: Path, arguments: argparse.Namespace, limits: Sequence[Limit]) -> int:
     from skd_evaluator.assessment.files.assessment_json import read_figures
     from skd_evaluator.extensions.campaign.cells import DONE, FAILED
     from skd_evaluator.report.tables import equal_remarks
     from skd_evaluator.report.terminal import print_table
 
-    content: dict[str, Any] = campaign.content
     rows = content["cells"]
 
     def show() -> None:
