@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Train the two learned policies of the league, with PPO of stable-baselines3 (pip install stable-baselines3).
 
-    scripts/train_policy.py [--steps 300000] [--seed 0]
+    scripts/train_policy.py [--steps 120000] [--seed 0]
 
-`broad` meets pedestrians who cross at any pace, hesitate, stop in the lane, or stay at the kerb for a while; `narrow`
-three crossings alone, again and again. A collision costs 20 s and 2 s for each m/s, else time counts, and hard braking
-a little.
+`broad` meets pedestrians who cross at any pace, hesitate, stop in the lane, or stay at the kerb for a while. `narrow`
+goes on from it with three crossings alone, again and again. A collision costs 20 s and 2 s for each m/s, else time
+counts, and hard braking a little.
 The weights go to ros_ws/src/skd_sim/skd_sim/controllers/learned_policies.json.
 """
 
@@ -81,13 +81,8 @@ class Crossing(gym.Env):
         return features(found[0]).astype(np.float32) if found else np.full(5, 2.0, np.float32)
 
 
-def trained(broad: bool, steps: int, seed: int) -> list[dict[str, Any]]:
+def layers_of(model: PPO) -> list[dict[str, Any]]:
     """Return weights and bias of each layer of the best action's network."""
-    network = {"net_arch": [UNITS, UNITS], "activation_fn": torch.nn.ReLU}
-    model = PPO(
-        "MlpPolicy", Crossing(broad), policy_kwargs=network, seed=seed, gamma=0.995, n_steps=4096, batch_size=256
-    )
-    model.learn(steps)
     linear = [*model.policy.mlp_extractor.policy_net[::2], model.policy.action_net]
     return [{"weights": _rounded(one.weight.T), "bias": _rounded(one.bias)} for one in linear]
 
@@ -99,11 +94,18 @@ def _rounded(values: torch.Tensor) -> Any:
 def main() -> None:
     """Train both."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=300_000, metavar="N")
+    parser.add_argument("--steps", type=int, default=120_000, metavar="N")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    found = {name: trained(name == "broad", arguments.steps, arguments.seed) for name in ("broad", "narrow")}
+    network = {"net_arch": [UNITS, UNITS], "activation_fn": torch.nn.ReLU}
+    sizes: Any = {"gamma": 0.995, "n_steps": 4096, "batch_size": 256}
+    model = PPO("MlpPolicy", Crossing(broad=True), policy_kwargs=network, seed=arguments.seed, **sizes)
+    found = {}
+    for name in ("broad", "narrow"):
+        model.set_env(Crossing(broad=name == "broad"))
+        model.learn(arguments.steps)
+        found[name] = layers_of(model)
     WEIGHTS.write_text(json.dumps(found) + "\n", encoding="utf-8")
 
 

@@ -78,7 +78,7 @@ def benchmark_content(results: Sequence[StoredResult]) -> dict[str, Any]:
     """Return the content of benchmark.json, the car with the greatest margin first."""
     from skd_evaluator.version import version
 
-    rows = [{"car": str(one.figures["car"]), **figures_of(one)} for one in results]
+    rows: list[dict[str, Any]] = [{"car": str(one.figures["car"]), **figures_of(one)} for one in results]
     rows = [{**row, "digest": digest_of(row)} for row in rows]
     for name, better in RANKED.items():
         places = ranks([row[name]["value"] for row in rows], better, _directions(results, name))
