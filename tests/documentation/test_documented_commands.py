@@ -157,7 +157,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd .*--simulator metadrive": "needs the extra metadrive: tests/sim/test_metadrive.py has smaller ones",
     r"(.* -m )?dask |.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
     r"scripts/skd scenarios check": "tests/evaluator/test_scenarios_command.py checks files of one's own",
-    r"scripts/skd (campaign|benchmark)": "tests/evaluator/test_campaign_command.py and test_benchmark.py run small ones",
+    r"scripts/skd (campaign|benchmark)": "test_campaign_command.py and test_benchmark.py in tests/evaluator have some",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
     r".* sumo_drivers:Krauss --adversary-model": "examples/sumo/README.md has it in fewer words",
     r".*\.venv-commonroad": "an environment of its own: tests/examples/test_commonroad_planner.py runs there",
