@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers.reference_drivers import PERIOD, RESUME, ReferenceDriver, RelativeState
+from skd_sim.world.state import FloatArray
 
 WEIGHTS = Path(__file__).with_name("learned_policies.json")
 HARDEST = 8.0  # m/s², braking at an output of −1; an output of 1 is `RESUME`
