@@ -181,5 +181,5 @@ def _cell(figure: Mapping[str, Any], digits: int) -> str:
     from skd_evaluator.report.formats import TERMINAL
 
     bound = "≤ " if figure.get("converged") is False else ""
-    ends = "" if figure["ci95"] is None else f" {TERMINAL.interval(figure['ci95'], digits)}"
+    ends = "" if figure["ci95"] is None else f" {TERMINAL.number(figure['ci95'], digits)}"
     return f"{bound}{TERMINAL.number(figure['value'], digits)}{ends}"
