@@ -22,30 +22,26 @@ from skd_evaluator.metrics.surrogate_measures import episode_measures
 from skd_evaluator.metrics.surrogate_scenes import course_of
 from skd_evaluator.report.episode_pictures import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.formats import KeptFailure, kept_failures
-from skd_evaluator.report.html.subjects import Subject, believed_car, read_subjects
+from skd_evaluator.report.html.subjects import Subject, believed_car, chosen_episodes, read_one
 from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossing
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     check_format(arguments.format)
-    subjects = read_subjects(arguments.paths)
-    path = arguments.path = arguments.paths[0]
-    if len(subjects) > 1:
-        raise UsageError(
-            f"{path}: holds {len(subjects)} assessments, and --format {arguments.format} draws one: give "
-            f"{subjects[0].folder}"
-        )
-    with understood(path):
-        return _show(subjects[0], arguments)
+    subject = read_one(arguments.paths)
+    arguments.path = arguments.paths[0]
+    with understood(arguments.path):
+        return _show(subject, arguments)
 
 
 def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     kept = kept_failures(subject.figures)
-    numbers = _chosen(subject, arguments) if arguments.failures is None else _likeliest(kept, arguments)
     if arguments.failures is None:
-        kept = []
+        kept, numbers = [], chosen_episodes(subject, arguments.episode, arguments.objective)
+        numbers = numbers if arguments.episode is not None else numbers[: arguments.worst]
     else:
+        numbers = _likeliest(kept, arguments)
         subject = replace(subject, episodes=subject.failing)
     out = result_folder(arguments)
     names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
@@ -76,35 +72,6 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
 
     out.write(write)
     return finish(arguments, content, show, subject.warnings)
-
-
-def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
-    """Return the numbers of the episodes that are asked for.
-
-    Raises:
-        UsageError: there is none, or none with that id.
-    """
-    episodes = subject.episodes
-    order = [
-        int(number)
-        for number in episodes.worst_first()
-        if arguments.objective in (None, str(episodes.objective[number]))
-    ]
-    if arguments.episode is not None:
-        found = [
-            number
-            for number in range(len(episodes))
-            if int(episodes.episode_id[number]) == arguments.episode
-            and arguments.objective in (None, str(episodes.objective[number]))
-        ]
-        if not found:
-            raise UsageError(
-                f"--episode {arguments.episode}: {arguments.path} holds no such episode; the report has the id of each"
-            )
-        return found
-    if not order:
-        raise UsageError(f"{arguments.path}: holds no episode of that kind: every one was aborted, or none was run")
-    return order[: arguments.worst]
 
 
 def _likeliest(kept: Sequence[KeptFailure], arguments: argparse.Namespace) -> list[int]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from skd_sim.errors import UsageError
-
 from skd_evaluator.cli.arguments import (
     add_count,
     add_flag,
@@ -51,16 +49,13 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.extensions.exchange.scene import EXPORT, ROAD_FILE
     from skd_evaluator.extensions.exchange.xml_formats import write_road
     from skd_evaluator.report.formats import counted
-    from skd_evaluator.report.html.subjects import read_subjects
+    from skd_evaluator.report.html.subjects import read_one
     from skd_evaluator.version import version
 
     kind = FORMATS[arguments.format]
     if kind.write is write_osi:
         osi_writer()  # that its libraries are there
-    subject, *others = read_subjects([arguments.path])
-    if others:
-        held = f"holds {1 + len(others)} assessments"
-        raise UsageError(f"{arguments.path}: {held}; give the folder of one, as {subject.folder}")
+    subject = read_one([arguments.path])
     with understood(arguments.path):
         numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
         out = result_folder(arguments)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.world.episode import Mode, Outcome
 
@@ -17,7 +16,7 @@ from skd_evaluator.extensions.exchange.osi import osi_name, write_osi
 from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpisode, actors_of, start_of
 from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
-from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.html.subjects import Subject, chosen_episodes
 
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
 
@@ -88,27 +87,16 @@ def selected_episodes(subject: Subject, episode: int | None, worst: int | None, 
     """
     episodes = subject.episodes
 
-    lasting = [
-        number
-        for number in range(len(episodes))
-        if objective in (None, str(episodes.objective[number]))
-        and len(episodes.adversary[number]) > 1
-        and np.isfinite(episodes.car[number]).all()
-    ]
-    if episode is not None:
-        found = [number for number in lasting if int(episodes.episode_id[number]) == episode]
-        if not found:
-            none = "holds no such episode; the report has the id of each"
-            raise UsageError(f"--episode {episode}: {subject.folder} {none}")
-        return found
-    fine = {number for number in lasting if episodes.outcome[number] != Outcome.ABORTED}
-    if worst is not None:
-        found = [number for number in episodes.worst_first().tolist() if number in fine][:worst]
-    else:
-        found = [number for number in sorted(fine) if episodes.mode[number] == Mode.KAMIKAZE]
-    if not found and (worst is not None or objective is not None):
-        raise UsageError(f"{subject.folder}: holds no episode of that kind: every one was aborted, or none was run")
-    return found
+    def fits(number: int) -> bool:
+        if len(episodes.adversary[number]) < 2 or not np.isfinite(episodes.car[number]).all():
+            return False
+        chosen = worst is not None or episodes.mode[number] == Mode.KAMIKAZE
+        return episode is not None or bool(chosen and episodes.outcome[number] != Outcome.ABORTED)
+
+    if (episode, worst, objective) == (None, None, None):
+        return list(filter(fits, range(len(episodes))))
+    found = chosen_episodes(subject, episode, objective, fits)
+    return sorted(found) if worst is None else found[:worst]
 
 
 def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, with_car: bool) -> list[Export]:

@@ -9,7 +9,7 @@ import base64
 import gzip
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -122,6 +122,20 @@ def read_subjects(folders: Sequence[Path]) -> list[Subject]:
         else:
             found += [_read(place, "") for place in result_folders([folder])]
     return _with_labels(found)
+
+
+def read_one(folders: Sequence[Path]) -> Subject:
+    """Return the one assessment in folders.
+
+    Raises:
+        UsageError: likewise, or it holds several.
+    """
+    subject, *others = read_subjects(folders)
+    if others:
+        raise UsageError(
+            f"{folders[0]}: holds {1 + len(others)} assessments; give the folder of one, as {subject.folder}"
+        )
+    return subject
 
 
 def _read_sweep(folder: Path) -> list[Subject]:
@@ -239,6 +253,36 @@ def margin_hits(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
                 for distance, trial, hit in sorted(known, key=lambda one: one[:2])[:most]
             ]
         )
+    return found
+
+
+def chosen_episodes(
+    subject: Subject, episode: int | None, objective: str | None, fits: Callable[[int], bool] = lambda _number: True
+) -> list[int]:
+    """Return the numbers of the episodes with an id, else of all, the worst for the car first.
+
+    Args:
+        subject: the result.
+        episode: their id; None: any.
+        objective: whose kamikazes are meant; None: of any, and runs along φ.
+        fits: whether the episode of a number is meant.
+
+    Raises:
+        UsageError: there is none.
+    """
+    stored = subject.episodes
+    found: list[int] = [
+        number
+        for number in stored.worst_first().tolist()
+        if objective in (None, str(stored.objective[number]))
+        and episode in (None, int(stored.episode_id[number]))
+        and fits(number)
+    ]
+    if not found and episode is not None:
+        held = f"{subject.folder} holds no such episode; the report has the id of each"
+        raise UsageError(f"--episode {episode}: {held}")
+    if not found:
+        raise UsageError(f"{subject.folder}: holds no episode of that kind: every one was aborted, or none was run")
     return found
 
 
