@@ -135,8 +135,8 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, RecordedEpisode
         return
     for line in reasons:
         damage.warn(f"{path}: {line}")
-    for index in accept([LocatedLog(log, str(path), str(path)) for log in logs], damage):
-        yield logs[index].episode.car.label, recording_of(logs[index])
+    for one in accept([LocatedLog(log, str(path), str(path)) for log in logs], damage):
+        yield one.log.episode.car.label, recording_of(one.log)
 
 
 def _logs_in(path: Path, car: EpisodeSpec) -> list[EpisodeLog]:

@@ -14,7 +14,7 @@ from skd_sim.inputs.files import read_json
 from skd_sim.world.episode import EpisodeLog, Outcome, counts_in_words
 
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, EpisodeGroup, split_episode_id
-from skd_evaluator.assessment.plausibility import examine
+from skd_evaluator.assessment.plausibility import Verdict, examine
 from skd_evaluator.metrics.aborted import not_credible
 
 OPTION = "--skip-damaged"
@@ -70,20 +70,22 @@ class LocatedLog:
         log: what happened in one episode.
         where: file or other origin, for messages.
         campaign: name of the campaign to which the episode belongs.
+        start: simulation time at which it began, ns, where the recording has one.
     """
 
     log: EpisodeLog
     where: str
     campaign: str
+    start: int = 0
 
     @property
-    def name(self) -> str:
+    def text(self) -> str:
         """File and episode, for messages."""
         return f"{self.where}: episode {self.log.episode.episode_id}"
 
 
-def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
-    """Return which logs count, as indices.
+def accept(found: Sequence[LocatedLog], damage: Damage) -> list[LocatedLog]:
+    """Return which logs count.
 
     Left out is what cannot have happened, and what SKD's own world would not have given in a campaign of which it gave
     other episodes. Where it gave none, the recording is of another simulator: it counts, checked within that
@@ -98,24 +100,23 @@ def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
     """
     verdicts = [examine(one.log) for one in found]
     ours = {one.campaign for one, verdict in zip(found, verdicts, strict=True) if verdict.ours and len(one.log.car) > 1}
-    kept: list[int] = []
-    foreign: dict[str, list[int]] = {}
-    for index, (one, verdict) in enumerate(zip(found, verdicts, strict=True)):
+    kept: list[LocatedLog] = []
+    foreign: dict[str, list[tuple[LocatedLog, Verdict]]] = {}
+    for one, verdict in zip(found, verdicts, strict=True):
         if verdict.fault:
-            damage.leave_out(f"{one.name}: {verdict.fault}")
+            damage.leave_out(f"{one.text}: {verdict.fault}")
         elif not verdict.ours and one.campaign in ours:
             off = f"{verdict.where} does not follow from its other states (by {verdict.deviation:.3g})"
-            damage.leave_out(f"{one.name}: {off}, though this campaign ran in SKD's own world")
+            damage.leave_out(f"{one.text}: {off}, though this campaign ran in SKD's own world")
         else:
-            kept.append(index)
+            kept.append(one)
             if not verdict.ours:
-                foreign.setdefault(one.campaign, []).append(index)
-    for places in foreign.values():
-        worst = max(places, key=lambda place: verdicts[place].deviation)
-        damage.warn(
-            f"{_episodes(places)} did not run in SKD's own world ({verdicts[worst].where} is off by "
-            f"{verdicts[worst].deviation:.3g}, {found[worst].name}): another simulator's impacts are checked roughly"
-        )
+                foreign.setdefault(one.campaign, []).append((one, verdict))
+    for pairs in foreign.values():
+        one, verdict = max(pairs, key=lambda pair: pair[1].deviation)
+        off = f"{verdict.where} is off by {verdict.deviation:.3g}, {one.text}"
+        own = f"{_episodes(pairs)} did not run in SKD's own world ({off})"
+        damage.warn(f"{own}: another simulator's impacts are checked roughly")
     return kept
 
 

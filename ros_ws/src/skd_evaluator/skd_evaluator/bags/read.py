@@ -49,18 +49,10 @@ def _name(campaign: str, number: int, mode: int, objective: str, model: str) -> 
     return EpisodeName(campaign, number, objective, model_digest(number, model))
 
 
-@dataclass(frozen=True)
-class BagEpisode:
-    """An episode found in a bag: identity and log."""
-
-    key: EpisodeKey
-    log: EpisodeLog
-
-    @property
-    def name(self) -> EpisodeName:
-        """Which episode of its campaign it is."""
-        spec = self.log.episode
-        return _name(self.key.campaign, self.key.episode_id, spec.mode, str(spec.objective), spec.car_model)
+def name_of(one: LocatedLog) -> EpisodeName:
+    """Return which episode of its campaign a recorded one is."""
+    spec = one.log.episode
+    return _name(one.campaign, spec.episode_id, spec.mode, str(spec.objective), spec.car_model)
 
 
 @dataclass
@@ -129,7 +121,7 @@ class GraphRecording:
         if len(self.samples) > _MOST_STATES:
             raise UsageError(f"holds more than {_MOST_STATES} states; split it (ros2 bag record --max-bag-duration)")
 
-    def logs(self, where: str, damage: Damage) -> Iterator[BagEpisode]:
+    def logs(self, where: str, damage: Damage) -> Iterator[LocatedLog]:
         """Yield the episodes that ended and are complete, as the messages describe them.
 
         Args:
@@ -146,7 +138,7 @@ class GraphRecording:
                     )
                 if key in self.disputed:
                     raise ValueError(f"{episode}: {self.disputed[key]}")
-                yield BagEpisode(key, self._log(key, result, where))
+                yield LocatedLog(self._log(key, result, where), where, key.campaign, key.start)
             except ValueError as error:
                 damage.leave_out(str(error))
 
@@ -195,13 +187,13 @@ class BagContent:
         files: the files that were read.
     """
 
-    episodes: list[BagEpisode]
+    episodes: list[LocatedLog]
     unfinished: list[EpisodeName]
     announced: set[EpisodeName]
     files: list[Path]
 
 
-def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[BagEpisode]:
+def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[LocatedLog]:
     """Return all episodes that ended; otherwise like `read_bags`."""
     return read_bags(paths, damage).episodes
 
@@ -217,7 +209,7 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> BagContent
         UsageError: a file cannot be read, or something is damaged and must not be left out.
     """
     damage = damage or Damage()
-    found: dict[EpisodeName, list[_Located]] = {}
+    found: dict[EpisodeName, list[LocatedLog]] = {}
     announced: set[EpisodeName] = set()
     recordings = find_recordings(paths, damage)
     for files in recordings:
@@ -227,33 +219,27 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> BagContent
         for recording in graphs.values():
             announced.update(recording.announced())
             for episode in recording.logs(where, damage):
-                found.setdefault(episode.name, []).append((episode, where))
-    places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
-    counting = accept([LocatedLog(one.log, where, one.key.campaign) for one, where in places], damage)
+                found.setdefault(name_of(episode), []).append(episode)
+    single = [one for name in sorted(found) if (one := _one_of(found[name], damage)) is not None]
     every = [file for files in recordings for file in files]
-    return BagContent([places[index][0] for index in counting], sorted(announced - set(found)), announced, every)
+    return BagContent(accept(single, damage), sorted(announced - set(found)), announced, every)
 
 
-_Located = tuple[BagEpisode, str]
-"""An episode and the file in which it was found."""
-
-
-def _one_of(places: Sequence[_Located], damage: Damage) -> _Located | None:
+def _one_of(places: Sequence[LocatedLog], damage: Damage) -> LocatedLog | None:
     """Return the one recording of an episode that counts.
 
     The same one may be given twice, and an episode may have been run again after it was aborted.
     """
-    completed = [one for one in places if one[0].log.outcome != Outcome.ABORTED]
-    first, where = (completed or places)[0]
-    number = first.key.episode_id
-    for other, elsewhere in completed or places:
+    completed = [one for one in places if one.log.outcome != Outcome.ABORTED]
+    first, *others = completed or places
+    for other in others:
         if _content(other.log) != _content(first.log):
-            damage.leave_out(f"{where}: episode {number} is another one in {elsewhere}: give one of them")
+            damage.leave_out(f"{first.text} is another one in {other.where}: give one of them")
             return None
-    starts = {one.key.start for one, _ in completed}
+    starts = {one.start for one in completed}
     if len(starts) > 1:
-        damage.warn(f"{where}: episode {number} was run {len(starts)} times with the same result: it counts once")
-    return first, where
+        damage.warn(f"{first.text} was run {len(starts)} times with the same result: it counts once")
+    return first
 
 
 def _content(log: EpisodeLog) -> tuple[object, ...]:

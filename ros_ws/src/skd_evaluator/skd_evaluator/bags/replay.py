@@ -23,7 +23,7 @@ from skd_evaluator.assessment.plan import (
     split_episode_id,
 )
 from skd_evaluator.bags import checks
-from skd_evaluator.bags.read import BagContent, BagEpisode
+from skd_evaluator.bags.read import BagContent
 from skd_evaluator.metrics.aborted import aborted_lines
 
 _OPTIONS = [one for one in options_of(EpisodeSpec) if one.name != "objective"]  # a campaign may have several objectives
@@ -31,13 +31,13 @@ _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))
 _OF_KAMIKAZES = [one.name for one in _OPTIONS if PLANNING in one.marks]  # no matter in an episode that plans nothing
 
 
-def _select(episodes: Sequence[BagEpisode], campaign: str | None) -> list[BagEpisode]:
-    known = sorted({episode.key.campaign for episode in episodes})
+def _select(episodes: Sequence[checks.LocatedLog], campaign: str | None) -> list[checks.LocatedLog]:
+    known = sorted({episode.campaign for episode in episodes})
     if campaign is not None and campaign not in known:
         raise UsageError(f"--campaign {campaign}: the bags hold {', '.join(known) or 'no episode'}")
     if campaign is None and len(known) > 1:
         raise UsageError(f"the bags hold {len(known)} campaigns; choose one with --campaign: {', '.join(known)}")
-    return [episode for episode in episodes if campaign in (None, episode.key.campaign)]
+    return [episode for episode in episodes if campaign in (None, episode.campaign)]
 
 
 def _counts(spec: EpisodeSpec) -> bool:
@@ -132,8 +132,8 @@ def assessment_from_logs(
     lost = aborted_lines(assessment.as_dict()) if assessment.reasons else []
     if damage is None:
         return replace(assessment, warnings=(*lost, *stands))
-    announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
-    unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
+    announced = [name for name in recorded.announced if name.campaign == chosen[0].campaign]
+    unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].campaign]
     lines = checks.unfinished_episodes(unfinished)
     reached = {str(one.plan.objective): one.successes_by_phi for one in assessment.results}
     requested = max((count for counts in reached.values() for count in counts), default=0)
