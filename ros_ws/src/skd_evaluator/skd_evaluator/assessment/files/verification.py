@@ -131,11 +131,6 @@ def _with_failures(assessment: Assessment, stored: StoredEpisodes) -> Assessment
     return replace(assessment, risks=replace(risks, failures=failures))
 
 
-def _follows(name: str) -> bool:
-    """Return whether an entry at the top of assessment.json follows from the episodes beside it."""
-    return name in AT_THE_TOP and AT_THE_TOP[name].recomputed
-
-
 def _compared(figures: Mapping[str, Any], found: dict[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return which figures are those that were found again, and in a line each what the others are."""
     for name, part in _KEPT:
@@ -143,7 +138,8 @@ def _compared(figures: Mapping[str, Any], found: dict[str, Any]) -> tuple[tuple[
             found[name][part] = figures[name].get(part)
     agree, contradict = [], []
     for name in dict.fromkeys((*figures, *found)):
-        if _follows(name.partition("_ci95")[0]):
+        figure = AT_THE_TOP.get(name.partition("_ci95")[0])
+        if figure is not None and figure.recomputed:
             said = [*differences(name, figures.get(name), found.get(name))]
             contradict += said
             agree += [] if said else [name]

@@ -60,21 +60,21 @@ def run(arguments: argparse.Namespace) -> int:
         numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
         out = result_folder(arguments)
         going = exports_of(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
-    files = {kind.name(one.recorded): one for one in going}
+    files = {kind.name(recorded): (recorded, entry) for recorded, entry in going}
     content = {
         "export": 1,
         "skd": version(),
         "result": str(arguments.path),
         "format": arguments.format,
         "road": ROAD_FILE if kind.with_road else None,
-        "files": [{"file": name, **one.entry} for name, one in files.items()],
+        "files": [{"file": name, **entry} for name, (_, entry) in files.items()],
     }
 
     def write(folder: Path) -> None:
         if kind.with_road:
-            write_road(folder / ROAD_FILE, [one.recorded for one in going])
-        for name, one in files.items():
-            kind.write(folder / name, one.recorded)
+            write_road(folder / ROAD_FILE, [recorded for recorded, _ in going])
+        for name, (recorded, _) in files.items():
+            kind.write(folder / name, recorded)
         write_json(folder / EXPORT, content)
 
     def show() -> None:

@@ -61,16 +61,8 @@ FORMATS = {
 _UNKNOWN_DATE = "1970-01-01T00:00:00Z"
 
 
-class Export(NamedTuple):
-    """Something that goes out.
-
-    Attributes:
-        recorded: what is written.
-        entry: what export.json says of it.
-    """
-
-    recorded: ExportedEpisode
-    entry: dict[str, Any]
+Export = tuple[ExportedEpisode, dict[str, Any]]
+"""What is written, and what export.json says of it."""
 
 
 def selected_episodes(subject: Subject, episode: int | None, worst: int | None, objective: str | None) -> list[int]:
@@ -123,7 +115,7 @@ def _phi(subject: Subject, index: int) -> Export:
     actors, duration = actors_of(scenario, course, with_car=False), float(course.times[-1])
     start, date = start_of(scenario, phi), _date(subject)
     recorded = ExportedEpisode(f"phi_{index:03d}", title, scenario, actors, start, duration, date)
-    return Export(recorded, {"mode": Mode.SAFE.name.lower(), "phi": index, "phi_name": name, "title": title})
+    return recorded, {"mode": Mode.SAFE.name.lower(), "phi": index, "phi_name": name, "title": title}
 
 
 def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> Export:
@@ -152,7 +144,7 @@ def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool
     }
     stem = f"kamikaze_{re.sub(r'[^A-Za-z0-9_]', '-', str(objective))}_{id_}" if objective else f"along_{id_}"
     start, shown = (x, y, heading, speed), actors if with_car else actors[1:]
-    return Export(ExportedEpisode(stem, title, scenario, shown, start, duration, _date(subject), whole_ticks), entry)
+    return ExportedEpisode(stem, title, scenario, shown, start, duration, _date(subject), whole_ticks), entry
 
 
 def _name(subject: Subject, index: int) -> str:
