@@ -24,8 +24,8 @@ COMMANDS = {
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the package, which a process in this folder imports in place of the other."""
-    shutil.copytree(PACKAGE, folder / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__"))
+    """A copy of the package, which a process in this folder imports in place of the other; compiled files, too."""
+    shutil.copytree(PACKAGE, folder / PACKAGE.name, ignore=shutil.ignore_patterns("*.pyc.*"))  # which others write now
     return folder / PACKAGE.name
 
 
