@@ -44,7 +44,7 @@ _LONGEST = (
 
 @pytest.fixture(scope="session", autouse=True)
 def shortened() -> None:
-    """Let only tests that look at pictures draw them, and only those of the price of caution drive all its runs."""
+    """Let only tests that look at pictures draw them, and drive few harmless runs."""
     from shortened import shorten  # which imports much: not in the process that only hands out tests
 
     shorten()
@@ -57,15 +57,6 @@ def pictures_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Figure, "savefig", DRAW)
     monkeypatch.setattr(vl_convert, "vegalite_to_png", CHART)
-
-
-@pytest.fixture
-def all_harmless_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drive as many harmless runs as for a user."""
-    from shortened import RUNS, price
-
-    for name, count in RUNS.items():
-        monkeypatch.setattr(price, name, count)
 
 
 def _turn(item: pytest.Item) -> int:

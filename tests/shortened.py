@@ -1,7 +1,7 @@
 """What takes long and few tests look at: pictures, and more than one harmless run of each kind.
 
 Pictures are files of the right name; what is drawn is put together all the same. Tests that look at pictures have the
-fixture `pictures_drawn`, those that look at the price of caution `all_harmless_runs`.
+fixture `pictures_drawn`.
 """
 
 from pathlib import Path

@@ -1,7 +1,6 @@
 """Recordings of campaigns: two objectives, a learned car, episodes that are missing, and what is said of them."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel, Object
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
-Write = Callable[..., Path]
 PLAN = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=2)
 SAFE = [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")]
 

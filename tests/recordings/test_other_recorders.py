@@ -24,7 +24,6 @@ from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 from skd_sim.world.timing import Timing
 
 Write = Callable[..., Path]
-Refused = Callable[..., str]
 Replay = Callable[..., Any]
 
 FRAME = 0.05

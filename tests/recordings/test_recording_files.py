@@ -19,7 +19,6 @@ from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog
 
 Write = Callable[..., Path]
-Refused = Callable[..., str]
 Replay = Callable[..., Any]
 _WRITTEN: dict[str, dict[str, Any]] = {
     "small chunks": {"chunk_size": 2048},

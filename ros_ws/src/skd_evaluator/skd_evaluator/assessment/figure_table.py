@@ -506,11 +506,6 @@ def entries(rows: Collection[Figure], subjects: Mapping[Of, Any]) -> dict[str, A
     return {key: value for key, value in found.items() if key not in empty}
 
 
-def figures_of(of: Of, subject: Any) -> dict[str, Any]:
-    """Return the entries at the top that are computed of one subject, as of `Margins`."""
-    return entries([one for one in AT_THE_TOP.values() if one.of is of], {of: subject})
-
-
 def shown_in(output: str) -> list[Figure]:
     """Return the figures that an output has, in its order."""
     found = [one for one in FIGURES if getattr(one, output)]

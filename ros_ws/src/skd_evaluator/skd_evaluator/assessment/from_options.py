@@ -76,11 +76,11 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none: leave it out")
     simulator = values.get("simulator")
-    if car.only_simulator and (graph or simulator != car.only_simulator):
-        instead = "leave out --graph" if simulator == car.only_simulator else f"add --simulator {car.only_simulator}"
+    if car.kind.simulator and (graph or simulator != car.kind.simulator):
+        instead = "leave out --graph" if simulator == car.kind.simulator else f"add --simulator {car.kind.simulator}"
         if simulator is None:  # the command has no such option
-            instead = f"skd assess --simulator {car.only_simulator} runs it"
-        raise UsageError(f"--controller {car.controller} decides within simulator {car.only_simulator}: {instead}")
+            instead = f"skd assess --simulator {car.kind.simulator} runs it"
+        raise UsageError(f"--controller {car.controller} decides within simulator {car.kind.simulator}: {instead}")
     if not car.is_external:
         scenario = check_controller(car, scenario)
         for one in options_of(GraphOptions):

@@ -106,7 +106,7 @@ class Plan(CampaignOptions):
             raise UsageError(
                 f"--safe {WALKERS} needs a pedestrian; {self.scenario.name} has a {kind}: give another source"
             )
-        clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
+        clocked = with_control_period(self.scenario, self.car.kind.control_period, self.controller)
         object.__setattr__(self, "scenario", clocked)
 
     @property
@@ -239,7 +239,7 @@ def probe_episodes(
         controller: name of the car under test, as in `Plan`.
         multiplier: C of the basic controller.
     """
-    clocked = with_control_period(scenario, CarUnderTest(controller).control_period, controller)
+    clocked = with_control_period(scenario, CarUnderTest(controller).kind.control_period, controller)
     seen = probe_scenario(clocked)
     car: dict[str, Any] = {"controller": controller, "multiplier": multiplier}
     episodes = []

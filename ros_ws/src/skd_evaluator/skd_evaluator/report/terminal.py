@@ -26,7 +26,6 @@ _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
 _number, _percent = formats.TERMINAL.number, formats.TERMINAL.share
-_BOLD = ("margin", "equivalent_multiplier", "nominal_collision_rate", "skd")
 
 
 def bounded_cell(result: Mapping[str, Any], text: str) -> str:

@@ -126,9 +126,7 @@ _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
 
 def _is_unknown(error: ErrorDetails) -> bool:
     """Return whether a key is none of those that there are."""
-    return error["type"] in ("unexpected_keyword_argument", "extra_forbidden", "invalid_key") or error["loc"][-1:] == (
-        "[key]",
-    )
+    return error["type"] in _UNKNOWN or error["loc"][-1:] == ("[key]",)
 
 
 def _worded(error: ErrorDetails, schema: dict[str, Any], path: str) -> str:

@@ -158,16 +158,6 @@ class CarUnderTest:
         return self.kind.known
 
     @property
-    def control_period(self) -> float | None:
-        """Time between two decisions (s) that its controller declares, as far as that is known before it is made."""
-        return self.kind.control_period
-
-    @property
-    def only_simulator(self) -> str:
-        """The simulator within which alone its controller decides, in the simulator's own process; empty: any."""
-        return self.kind.simulator
-
-    @property
     def label(self) -> str:
         """Its name in headings; different cars have different names."""
         if self.name:

@@ -212,7 +212,7 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
 
 def _undisturbed(plan: Plan, number: int, along: float) -> EpisodeSpec:
     """Return an episode without road users: the adversary stands far beside the road, at a path coordinate (m)."""
-    clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
+    clocked = with_control_period(plan.scenario, plan.car.kind.control_period, plan.controller)
     public = replace(clocked, others=())
     scenario = replace(public, car=replace(public.car, meet_safe_trajectory=False))
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))

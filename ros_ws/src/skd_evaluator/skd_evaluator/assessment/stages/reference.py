@@ -64,7 +64,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
 
 def _plan_of(plan: Plan, name: str) -> Plan:
     """Return the plan with a reference driver in the place of the car, in SKD's own world."""
-    period = CarUnderTest(name).control_period
+    period = CarUnderTest(name).kind.control_period
     scenario = with_control_period(replace(plan.scenario, control_period=None), period, name)
     known = AdversaryModel.GENERIC  # nothing is planned
     return replace(plan, scenario=scenario, controller=name, adversary_model=known, car_model="", simulator=WORLD)
