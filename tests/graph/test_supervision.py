@@ -28,7 +28,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator, refuted
 from skd_evaluator.ros.processes import AbortedEpisodes, GraphError, Program, Supervisor
-from skd_sim.ros import discovery
+from skd_sim.ros import diagnosis
 from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, abort_reason, kind_of
 from skd_sim.world.state import AdversaryState, CarState
 
@@ -149,15 +149,15 @@ def test_a_publisher_whose_process_has_died_is_none(monkeypatch: pytest.MonkeyPa
         resolve_topic_name=lambda topic: topic,
         get_fully_qualified_name=lambda: "/ours",
     )
-    monkeypatch.setattr(discovery, "_seen", set())
+    monkeypatch.setattr(diagnosis, "_seen", set())
     found["/topic"] = [endpoint("car", dead.pid), endpoint("car", dead.pid)]
-    assert len(discovery.living_publishers(node, "/topic")) == 2, "processes of others may not be seen here"
+    assert len(diagnosis.living_publishers(node, "/topic")) == 2, "processes of others may not be seen here"
     found["/parameter_events"].append(endpoint("car", living))
-    assert not discovery.living_publishers(node, "/topic")
+    assert not diagnosis.living_publishers(node, "/topic")
     found["/parameter_events"].pop()
-    assert not discovery.living_publishers(node, "/topic"), "they have been seen"
+    assert not diagnosis.living_publishers(node, "/topic"), "they have been seen"
     found["/topic"].append(endpoint("far", dead.pid, host=2))
-    assert [one.name for one in discovery.living_publishers(node, "/topic")] == ["/far"]
+    assert [one.name for one in diagnosis.living_publishers(node, "/topic")] == ["/far"]
 
 
 def test_a_forked_process_leaves_the_nodes_of_its_parent_alone() -> None:

@@ -31,8 +31,7 @@ from skd_sim.options.car_under_test import is_own_world
 from skd_sim.options.options import CommandOptions
 from skd_sim.ros import support
 from skd_sim.ros.commands import car_commands
-from skd_sim.ros.diagnosis import Awaited
-from skd_sim.ros.discovery import kind_name, living_publishers, second_publisher
+from skd_sim.ros.diagnosis import Awaited, kind_name, living_publishers, second_publisher
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.ros.simulator_node import GraphSimulator
 from skd_sim.ros.to_messages import episode_to_message, to_stamp

@@ -23,8 +23,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from skd_sim.ros.diagnosis import Awaited, Evidence, Heard, class_of, diagnose
-from skd_sim.ros.discovery import living_publishers
+from skd_sim.ros.diagnosis import Awaited, Evidence, Heard, class_of, diagnose, living_publishers
 from skd_sim.ros.support import DIAGNOSTICS, EGO_ODOMETRY
 from skd_sim.world.episode import AbortKind, abort_reason
 

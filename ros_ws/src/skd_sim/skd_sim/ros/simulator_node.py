@@ -22,8 +22,7 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import UsageError
 from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, SimulatorOptions, StateOptions, values_of
 from skd_sim.ros.commands import Quantity, angle_of_yaw_rate, car_commands, follow_speed
-from skd_sim.ros.diagnosis import Awaited, Evidence, diagnose
-from skd_sim.ros.discovery import kind_name, second_publisher
+from skd_sim.ros.diagnosis import Awaited, Evidence, diagnose, kind_name, second_publisher
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
 from skd_sim.ros.lockstep import (
     Action,
