@@ -15,6 +15,8 @@ from skd_evaluator.report.terminal import credibility, narrow_table, print_table
 NOTHING = "–"
 COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown": "#964B00", "red": "#FF3333"}
 """As Euro NCAP's calculator has them; the letter in the cell says the same."""
+LIGHT = ("green", "yellow", "orange", "red")
+"""Colours on which words are black: white would have a contrast below 4.5 (WCAG 2.2)."""
 PASS_LEGEND = "G passed, R failed, – no verdict, impact speed (km/h), margin (m; ≥ and ≤: a bound)"
 LEGEND = (
     "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin "
