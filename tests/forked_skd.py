@@ -3,13 +3,15 @@
 A start with all imports takes longer than most commands that tests run, and is the same each time. What a start itself
 does belongs to tests that begin a Python: those of the version, of help, of an interrupt, of a cold cache.
 
-A test's process starts one server at its first need of it. For each command the server forks a keeper, which forks the
-command, waits for it and reports how it ended, or kills it when its test has gone. The command gets arguments, folder,
-variables, search path and output as a new Python would have them, and leaves through Python's own end.
+The first process that needs it starts one server for all that run tests side by side. For each command the server forks
+a keeper, which forks the command, waits for it and reports how it ended, or kills it when its test has gone. The
+command gets arguments, folder, variables, search path and output as a new Python would have them, and leaves through
+Python's own end.
 """
 
 import atexit
 import contextlib
+import fcntl
 import functools
 import gc
 import importlib
@@ -18,6 +20,7 @@ import os
 import pkgutil
 import re
 import select
+import shutil
 import signal
 import socket
 import struct
@@ -35,7 +38,7 @@ _FIXED = ("SKD_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
 """Variables that have had their effect before a command is forked."""
 _FIRST = (
     "--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "5", "--workers", "1",
-    "--quiet",
+    "--quiet", "--overwrite",
 )  # fmt: skip
 
 
@@ -48,7 +51,11 @@ class ForkedSkd:
         request = json.dumps({"arguments": [*arguments], "cwd": str(cwd), "environment": {**environment}}).encode()
         self._out, self._err = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
         self._keeper = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._keeper.connect(_server())
+        try:
+            self._keeper.connect(_server())
+        except OSError:  # it has ended with the process that had started it
+            _server.cache_clear()
+            self._keeper.connect(_server())
         socket.send_fds(self._keeper, [_SIZE.pack(len(request))], [self._out.fileno(), self._err.fileno()])
         self._keeper.sendall(request)
         self._answers = self._keeper.makefile("r")
@@ -73,23 +80,34 @@ class ForkedSkd:
 
 @functools.cache
 def _server() -> str:
-    """Start the server of this process, which ends with it, and return its address."""
-    folder = tempfile.TemporaryDirectory(prefix="skd-forks-")
-    address = str(Path(folder.name, "server"))
+    """Return the address of the server, which is started unless another process of this run of tests has one."""
+    folder = Path(tempfile.gettempdir(), f"skd-forks-{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    address, number = folder / "server", folder / "process"
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not number.exists() or not Path("/proc", number.read_text()).exists():
+            address.unlink(missing_ok=True)
+            number.write_text(str(_start(folder, address)))
+    return str(address)
+
+
+def _start(folder: Path, address: Path) -> int:
+    """Start a server, which ends with this process and takes its folder along, and return its process."""
     variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", TOKEN)}
     process = subprocess.Popen(
-        [sys.executable, __file__, address], env=variables, cwd=folder.name, stdin=subprocess.PIPE,
+        [sys.executable, __file__, str(address)], env=variables, cwd=folder, stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )  # fmt: skip
 
     def end() -> None:
         process.stdin.close()  # for whose end the server waits
         process.wait()
-        folder.cleanup()
+        shutil.rmtree(folder, ignore_errors=True)
 
     atexit.register(end)
     assert process.stdout.readline() == b"ready\n", "the server of forked commands could not start"
-    return address
+    return process.pid
 
 
 def _serve(address: str) -> int:
