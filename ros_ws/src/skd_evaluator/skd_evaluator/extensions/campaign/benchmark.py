@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _entry(car: str) -> dict[str, str]:
     """Return a car's entry in a campaign's file."""
     known = CarUnderTest(car)
-    simulator = {"simulator": known.only_simulator} if known.only_simulator else {}
+    simulator = {"simulator": known.kind.simulator} if known.kind.simulator else {}
     return {"controller": str(known.controller), **simulator}
 
 
