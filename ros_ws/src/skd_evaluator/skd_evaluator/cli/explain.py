@@ -31,8 +31,9 @@ HERE = Path(__file__).parent
 
 def test_the_car_does_not_hit() -> None:
     scenario, safe = HERE / "scenario.yaml", HERE / "trajectory.csv"
-    one = {{"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1, "margin_limit": 0, "adversary_model": "generic"}}
-    found = assess({car}, scenario=str(scenario), safe=str(safe), seed={seed}, **one)
+    one = {{"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1, "margin_limit": 0}}
+    few = {{**one, "adversary_model": "generic", "behaviour": "none"}}
+    found = assess({car}, scenario=str(scenario), safe=str(safe), seed={seed}, **few)
     assert found.as_dict()["nominal_collision_rate"] == 0.0
 '''
 
@@ -92,6 +93,7 @@ class Explanation:
         words += ["--multiplier", f"{episode.multiplier!r}"] if episode.car.has_multiplier else []
         words += ["--scenario", str(folder / SCENARIO_FILE), "--safe", str(folder / TRAJECTORY_FILE)]
         words += ["--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--margin-limit", "0"]
+        words += ["--adversary-model", "generic", "--behaviour", "none"]
         return shlex.join([*words, "--seed", str(episode.seed)])
 
     def write(self, out: Path) -> None:

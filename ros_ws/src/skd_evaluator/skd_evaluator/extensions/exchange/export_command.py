@@ -23,11 +23,11 @@ EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
 def add_export(parser: Parser) -> None:
     """Write kamikazes and safe trajectories as OpenSCENARIO, OSI, CommonRoad or csv.
 
-    Write the safe trajectories φ of a result, and every kamikaze, as files that other tools open. docs/logs.md says
-    what each format keeps.
+    Write the safe trajectories φ of a result, and every kamikaze, or the trial that a comparison, a bisection or a log
+    has written, as files that other tools open. docs/logs.md says what each format keeps.
     """
     parser.set_defaults(group="exchange")
-    add_value(parser, "path", "folder of an assessment", type=Path, metavar="RESULT")
+    add_value(parser, "path", "folder of an assessment or of a trial", type=Path, metavar="RESULT")
     text = "openscenario (1.2, OpenDRIVE road), osi (ground truth as MCAP; extra exchange), commonroad (2020a), csv"
     add_value(parser, "--format", text, choices=EXPORT_FORMATS, required=True)
     which = parser.add_mutually_exclusive_group()
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     from skd_evaluator.assessment.files.assessment_json import understood
     from skd_evaluator.assessment.files.result_folder import write_json
-    from skd_evaluator.extensions.exchange.exports import FORMATS, exports_of, selected_episodes
+    from skd_evaluator.extensions.exchange.exports import FORMATS, exports_of, selected_episodes, trial_of
     from skd_evaluator.extensions.exchange.osi import osi_writer, write_osi
     from skd_evaluator.extensions.exchange.scene import EXPORT, ROAD_FILE
     from skd_evaluator.extensions.exchange.xml_formats import write_road
@@ -55,11 +55,17 @@ def run(arguments: argparse.Namespace) -> int:
     kind = FORMATS[arguments.format]
     if kind.write is write_osi:
         osi_writer()  # that its libraries are there
-    subject = read_one([arguments.path])
-    with understood(arguments.path):
-        numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
-        out = result_folder(arguments)
-        going = exports_of(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
+    if trial := trial_of(arguments.path):
+        if given := [name for name in ("episode", "worst", "objective") if getattr(arguments, name) is not None]:
+            raise UsageError(f"--{given[0]}: {arguments.path} is one trial")
+        what, going, warnings = "the trial", [trial], list[str]()
+    else:
+        subject = read_one([arguments.path])
+        with understood(arguments.path):
+            numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
+            going = exports_of(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
+        what, warnings = f"{len(going) - len(numbers)} φ and {counted(len(numbers), 'episode')}", subject.warnings
+    out = result_folder(arguments)
     files = {kind.name(recorded): (recorded, entry) for recorded, entry in going}
     content = {
         "export": 1,
@@ -79,8 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     def show() -> None:
         if not problem:
-            said = f"{len(going) - len(numbers)} φ and {counted(len(numbers), 'episode')} as {arguments.format}"
-            print(f"{said} in {out.path}; {EXPORT} says which file is which")
+            print(f"{what} as {arguments.format} in {out.path}; {EXPORT} says which file is which")
 
     problem = out.save(write)
-    return finish(arguments, content, show, subject.warnings, [problem])
+    return finish(arguments, content, show, warnings, [problem])

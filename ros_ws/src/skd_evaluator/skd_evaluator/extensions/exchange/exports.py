@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from skd_adversary.safe_trajectories.sources import read_csv_trajectory
 from skd_sim.inputs.files import one_line
+from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
 from skd_evaluator.extensions.exchange.osi import osi_name, write_osi
@@ -17,6 +20,7 @@ from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpis
 from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
 from skd_evaluator.report.html.subjects import Subject, chosen_episodes
+from skd_evaluator.report.repeat import SCENARIO_FILE, TRAJECTORY_FILE
 
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
 
@@ -108,14 +112,33 @@ def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, w
 
 def _phi(subject: Subject, index: int) -> Export:
     """Return a φ: the adversary and the others, and where the car begins."""
-    phi, step = subject.episodes.safe[index], subject.episodes.time_step
-    course = EpisodeMotion(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 4), np.nan))
     name, scenario = _name(subject, index), subject.scenario
     title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {scenario.name}, {subject.label}")
-    actors, duration = actors_of(scenario, course, with_car=False), float(course.times[-1])
-    start, date = start_of(scenario, phi), _date(subject)
-    recorded = ExportedEpisode(f"phi_{index:03d}", title, scenario, actors, start, duration, date)
+    recorded = _walk(scenario, subject.episodes.safe[index], f"phi_{index:03d}", title, _date(subject))
     return recorded, {"mode": Mode.SAFE.name.lower(), "phi": index, "phi_name": name, "title": title}
+
+
+def trial_of(folder: Path) -> Export | None:
+    """Return the trial that a folder of `skd compare --explain`, `skd bisect` or `skd log` holds; None: it holds none.
+
+    Raises:
+        UsageError: its scenario or its trajectory cannot be read.
+    """
+    if not (folder / TRAJECTORY_FILE).is_file():
+        return None
+    scenario = load_scenario(str(folder / SCENARIO_FILE))
+    walked = read_csv_trajectory(folder / TRAJECTORY_FILE, scenario).positions
+    title = one_line(f"SKD: trial {folder.resolve().name} of {scenario.name}")
+    recorded = _walk(scenario, walked, "trial", title, _UNKNOWN_DATE)
+    return recorded, {"mode": Mode.REPLAY.name.lower(), "title": title}
+
+
+def _walk(scenario: Scenario, walked: FloatArray, stem: str, title: str, date: str) -> ExportedEpisode:
+    """Return a trajectory of the adversary, n × 2, m, with the others, and where the car begins."""
+    times = scenario.time_step * np.arange(len(walked), dtype=np.float64)
+    course = EpisodeMotion(times, walked, np.full((len(walked), 4), np.nan))
+    actors = actors_of(scenario, course, with_car=False)
+    return ExportedEpisode(stem, title, scenario, actors, start_of(scenario, walked), float(times[-1]), date)
 
 
 def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> Export:
