@@ -4,13 +4,18 @@ import itertools
 import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from cli_support import BRAKE, SMALL, one_line, skd
+from cli_support import BRAKE, CROSSING, SMALL, one_line, skd
 from skd_evaluator import load_result
+from skd_evaluator.assessment.from_options import plan_of
+from skd_evaluator.cli.commands.assess import _begun, _digest
 from skd_evaluator.cli.main import main
+from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.margin.paired_test import ERROR, SCALE, e_values, level_of
+from skd_sim.scenario.scenario import load_scenario
 
 CAR = "import limits\n\n" + BRAKE.format(name="Brake", side="limits.SIDE")
 HISTORY = {  # what each commit changes, and its message
@@ -136,13 +141,36 @@ def test_two_revisions_are_rated_with_the_same_options_and_compared(repository, 
 
 def test_a_night_in_which_nothing_changed_takes_the_result_over(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("skd_evaluator.provenance.git_revision", lambda *_: None)  # SKD's own files may be modified
-    words = ["assess", "--controller", "carla", *SMALL, "--adversary-model", "generic", "-q"]
-    assert main([*words, "--out", "first"]) == 0
-    assert main([*words, "--out", "second", "--warm-start", "first"]) == 0
-    assert main([*words, "--out", "third", "--warm-start", "first", "--collision-runs", "4"]) == 0
-    first, second, third = (load_result(one).figures for one in ("first", "second", "third"))
+    Path("cars.py").write_text(BRAKE.format(name="Brake", side=1.5) + "class Later(Brake):\n    limit = 1.1\n")
+    words = ["assess", *SMALL, "--adversary-model", "generic", "-q"]
+
+    def night(name: str, car: str, *more: str) -> dict[str, Any]:
+        assert main([*words, "--controller", f"cars.py:{car}", "--out", name, *more]) == 0
+        return dict(load_result(name).figures)
+
+    first, second = night("first", "Brake"), night("second", "Brake", "--warm-start", "first")
     assert second["margin_how"] == "as in first: the same car and options, and each hit came again"
     differ = {key for key in first if first[key] != second[key]}
     assert differ == {"provenance", "margin_how", "seconds"}
-    assert third["margin_how"] == "from the hits of first on"
+    assert night("third", "Later", "--warm-start", "first")["margin_how"] == "from the hits of first on"
+
+
+def test_a_night_is_of_all_files_and_options_but_the_earlier_result(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("phi.csv").write_text(CROSSING)
+    Path("cars.py").write_text(BRAKE.format(name="Brake", side=1.5))
+
+    def digest(*more: str) -> str | None:
+        words = ["assess", "--safe", "phi.csv", "--controller", "cars.py:Brake", *more]
+        arguments = parse(make_parser(["assess"]), words)
+        arguments.command_line = ["skd", *words]
+        return _digest(_begun(arguments, plan_of(vars(arguments), load_scenario("crossing"))), arguments)
+
+    same = digest()
+    assert same == digest("--warm-start", "first") is not None
+    assert digest("--graph") is None
+    others = [same, digest("--seed", "1"), digest("--max-aborted", "3")]
+    for file, text in (("phi.csv", CROSSING.replace("2,3,0", "2.5,3,0")), ("cars.py", "# a comment\n")):
+        Path(file).write_text(text)
+        others.append(digest())
+    assert len(set(others)) == 5

@@ -218,6 +218,7 @@ def provenance(command: Sequence[str], car: CarUnderTest, *, controller_command:
         "controller_files": [{"path": path, "sha256": digest} for path, digest in digests.items() if digest],
         "controller_git": controller_revision(car, controller_command),
         "car_model_sha256": None,  # until it is known
+        "inputs_sha256": None,  # only `skd assess` knows it
     }
 
 

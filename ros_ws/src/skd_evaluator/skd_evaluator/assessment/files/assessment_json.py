@@ -158,6 +158,8 @@ def _definitions() -> dict[str, Any]:
             controller_git=_said(git, "of the checkout that the module, or last file named, is in"),
             car_model_sha256=_said({**_KINDS["digest"], "type": ["string", "null"]},
                                    "of car_model above, as it was given"),
+            inputs_sha256=_said({**_KINDS["digest"], "type": ["string", "null"]},
+                                "of options, files and versions that it follows from; null: not known"),
         ), "what ran, when and where; nothing in it is a figure, and two equal assessments differ in it"),
     }
 # fmt: on

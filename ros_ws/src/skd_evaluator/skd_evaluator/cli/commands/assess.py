@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import os
 import shlex
 import shutil
@@ -36,8 +38,6 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import UNFINISHED
 
 if TYPE_CHECKING:  # help reads this module, and they take time
-    from skd_sim.scenario.scenario import Scenario
-
     from skd_evaluator.assessment.assessment import Assessment
     from skd_evaluator.assessment.context import Runner
     from skd_evaluator.assessment.files.result_folder import ResultFolder
@@ -99,12 +99,15 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if arguments.resume is None and arguments.out and not arguments.overwrite and _is_unfinished(arguments.out):
         raise UsageError(f"--out {arguments.out}: was interrupted; --resume goes on with it, --overwrite begins anew")
     out = result_folder(arguments)
-    command = arguments.controller_command or ""
-    origin = provenance(arguments.command_line, plan.car, controller_command=command)
+    begun = _begun(arguments, plan)
+    origin = provenance(arguments.command_line, plan.car, controller_command=arguments.controller_command or "")
+    origin |= {"inputs_sha256": _digest(begun, arguments)}
     assessment = Assessment(plan, provenance=origin)
-    if (earlier := request["earlier"]) is not None and _is_of_today(earlier, arguments, origin, plan.scenario):
-        return _confirmed(earlier, arguments, origin, out, gate, begin)
-    kept = _KeptEpisodes(arguments, assessment, out.path)
+    if (earlier := request["earlier"]) is not None and origin["inputs_sha256"] and "margin" in earlier.groups:
+        before = earlier.figures.get("provenance") or {}
+        if before.get("inputs_sha256") == origin["inputs_sha256"]:
+            return _confirmed(earlier, arguments, origin, out, gate, begin)
+    kept = _KeptEpisodes(arguments, begun, out.path)
     done = True
     try:
         assess = _through_graph if arguments.graph else _in_process
@@ -119,32 +122,6 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     finally:
         kept.close(done=done)
     return print_result(assessment, out, arguments, gate, problem)
-
-
-def _is_of_today(
-    earlier: StoredResult, arguments: argparse.Namespace, now: Mapping[str, Any], scenario: Scenario
-) -> bool:
-    """Return whether an earlier result is of the same options, scenario, files of the car and SKD.
-
-    Where an option names a file, or SKD's own files were modified, that is not known.
-    """
-    from skd_evaluator.assessment.options import GENERATED, NO_BEHAVIOUR, WALKERS
-    from skd_evaluator.version import version
-
-    known = arguments.safe in GENERATED and arguments.behaviour in (WALKERS, NO_BEHAVIOUR) and not arguments.car_model
-    before = earlier.figures.get("provenance") or {}
-    git = now.get("git")
-    same = ("controller_files", "git", "python", "platform")
-    known &= "margin" in earlier.groups and not arguments.graph
-    if not known or (git and git["modified"]) or any(before.get(key) != now[key] for key in same):
-        return False
-    try:
-        then = vars(parse(make_parser(["assess"]), shlex.split(before["command"])[1:]))
-    except (SystemExit, UsageError):
-        return False
-    names = {*arguments.parameters, "until_width", "max_aborted"} - {"warm_start", "controller"}
-    options = all(then[name] == value for name, value in vars(arguments).items() if name in names)
-    return options and scenario.as_dict() == earlier.scenario and earlier.figures["version"] == version()
 
 
 def _confirmed(
@@ -330,8 +307,13 @@ def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, 
 class _KeptEpisodes:
     """Episodes that are kept as soon as they have run, until the results are written."""
 
-    def __init__(self, arguments: argparse.Namespace, assessment: Assessment, out: Path) -> None:
+    def __init__(self, arguments: argparse.Namespace, begun: Mapping[str, Any], out: Path) -> None:
         """Open the file, or begin it.
+
+        Args:
+            arguments: of the command.
+            begun: what the episodes follow from; see `_begun`.
+            out: folder of the results.
 
         Raises:
             UsageError: --resume is given, and what is kept is of other options, files or versions; says which.
@@ -341,7 +323,6 @@ class _KeptEpisodes:
         self._arguments, self._out, self._path = arguments, out, unfinished(out)
         if arguments.resume is None:
             remove_files(self._path)
-        begun = _begun(arguments, assessment.plan)
         self._store = EpisodeStore(self._path)
         if not (then := self._store.about()):
             self._store.write_about(begun)
@@ -396,7 +377,7 @@ def _begun(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
     from skd_sim.options.options import options_of
 
     from skd_evaluator.assessment.options import OF_NO_RESULT, AssessmentOptions, CampaignOptions, GraphOptions
-    from skd_evaluator.provenance import code_files, environment
+    from skd_evaluator.provenance import code_files, environment, sums_of
 
     tables = (CampaignOptions, AssessmentOptions, GraphOptions)
     names = {one.name for table in tables for one in options_of(table) if "assess" in one.commands}
@@ -407,8 +388,28 @@ def _begun(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
         "options": {name: str(getattr(arguments, name)) for name in sorted(names)},
         "scenario": plan.scenario.as_dict(),
         "files": code_files(plan.car, arguments.controller_command or ""),
+        "inputs": sums_of(map(str, filter(None, (arguments.safe, arguments.behaviour, arguments.car_model)))),
         "environment": dict(environment()),
     }
+
+
+def _digest(begun: Mapping[str, Any], arguments: argparse.Namespace) -> str | None:
+    """Return the SHA-256 of all that an assessment follows from; None where that is not known, or need not repeat.
+
+    So it is of a graph, and of plug-ins beside the car.
+    """
+    from skd_sim.options.adversary import OBJECTIVES, objectives_named
+    from skd_sim.options.car_under_test import is_own_world
+
+    from skd_evaluator.provenance import MOST_FILES
+
+    own = all(name in OBJECTIVES.own for name in objectives_named(arguments.objective))
+    known = begun["files"] is not None and len(begun["inputs"]) < MOST_FILES
+    if arguments.graph or not (known and own and is_own_world(arguments.simulator)):
+        return None
+    options = {**begun["options"], "warm_start": "", "max_aborted": arguments.max_aborted}
+    content = {**begun, "words": [], "options": options}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _check_the_same(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
@@ -427,10 +428,10 @@ def _check_the_same(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
         what, advice = f"{name} was {first} and is now {second}", "put it back"
         if part == "options":
             what, advice = f"--{name.replace('_', '-')} was {first} and is now {second}", "leave it out"
-        elif part == "files" and first is None:
+        elif part in ("files", "inputs") and first is None:
             new.append(name)
             continue
-        elif part == "files":
+        elif part in ("files", "inputs"):
             what = f"{name} {'has gone' if second is None else 'has changed'}"
         raise UsageError(f"--resume: {what}; {advice}, or begin anew with --overwrite")
     if new:
