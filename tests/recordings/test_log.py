@@ -16,7 +16,7 @@ from skd_evaluator.bags.tracks import Track
 from skd_evaluator.cli.main import main
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.log.conflicts import Conflict, ConflictRequest, conflicts_in
-from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, read_drives
+from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, path_at, read_drives, steady_state
 from skd_sim.scenario.scenario import changed_scenario, load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
@@ -135,6 +135,31 @@ def test_bounds_of_a_car_that_braked_say_that_it_may_not_brake_the_next_time():
     (one,) = found(track("p", crossing()), car=braking)
     assert one.least == 0.0
     assert 2.0 < one.recorded <= one.most
+
+
+def noisy(place: Place, sigma: float, rng: np.random.Generator) -> Track:
+    one = track("noisy", place, rate=10.0)
+    return Track(one.times, one.places + rng.normal(0.0, sigma, one.places.shape), one.where, name=one.name)
+
+
+@pytest.mark.parametrize(("car", "at", "speed"), [(straight, 5.0, SPEED), (braking, 3.5, SPEED), (braking, 5.0, 4.0)])
+def test_the_speed_of_a_steady_drive_is_known_through_noise_and_brakes_do_not_blur_it(car, at, speed):
+    rng = np.random.default_rng(3)
+    found = [steady_state(noisy(car, 0.02, rng), at, 0.5) for _ in range(20)]
+    off = np.array([math.hypot(*one[2:]) - speed for one in found if one is not None])
+    assert len(off) == 20
+    assert math.sqrt((off**2).mean()) < (0.005 if speed == SPEED else 0.04)  # a parabola over 2 s gives 0.008 at best
+
+
+@pytest.mark.parametrize(("stops", "most"), [(9.0, 0.008), (5.0, 0.015)])
+def test_the_path_of_a_road_user_is_smooth_but_its_stop_stays(stops: float, most: float):
+    rng, times = np.random.default_rng(4), np.arange(1.0, 9.0, 0.3)
+
+    def place(at: np.ndarray) -> np.ndarray:
+        return placed(1.4 * np.minimum(at, stops), 0.0 * at)
+
+    off = [path_at(noisy(place, 0.02, rng), times, 0.5) - place(times) for _ in range(20)]
+    assert math.sqrt(np.mean(np.square(off))) < most
 
 
 def written(path: Path, place: Place, rate: float = 20.0) -> Path:

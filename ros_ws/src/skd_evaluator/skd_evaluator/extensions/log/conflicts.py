@@ -18,7 +18,7 @@ from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.state import BoolArray, FloatArray, Trajectory
 
 from skd_evaluator.bags.tracks import Track
-from skd_evaluator.extensions.log.drives import CAR_SMOOTHED, RecordedDrive, states_at
+from skd_evaluator.extensions.log.drives import CAR_SMOOTHED, RecordedDrive, path_at, states_at, steady_state
 
 STEP, FINE = 0.05, 0.02
 """s between the moments at which a drive, and a conflict in it, is looked at."""
@@ -174,6 +174,8 @@ def _conflict(
     seen = states_at(user, times, gap)[:, :2]
     first = int(np.argmax(np.isfinite(np.column_stack([driven, seen])).all(axis=1)))
     times, driven, seen = times[first:], driven[first:], seen[first:]
+    if (start := steady_state(car, float(times[0]), gap)) is not None:
+        driven[0] = _pointing(start[None], request.reference)[0]
     apart = _clearance(request.scenario, driven, seen)
     nearest = float(times[int(np.nanargmin(np.where(driven[:, 3] > _DRIVES, apart, np.inf)))])
     until = times <= nearest + _AFTER
@@ -211,7 +213,7 @@ def _simulated(
     if found.speed < _DRIVES:
         raise UsageError(f"the car stands when it begins ({found.speed:.1f} m/s)")
     ticks = times[0] + base.time_step * np.arange(base.ticks + 1)
-    walked = states_at(user, ticks, request.longest_gap)[:, :2]
+    walked = path_at(user, ticks, request.longest_gap)
     holes = np.flatnonzero(np.isnan(walked).any(axis=1))
     walked = walked[: holes[0]] if holes.size else walked
     whole = len(walked) > 1 and ticks[len(walked) - 1] >= times[-1] - base.time_step

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +23,8 @@ from skd_evaluator.bags.tracks import TABLE_CAR, TF, Listed, Track, bag_objects,
 SMOOTHED, CAR_SMOOTHED = 1.0, 2.0
 """s over which a parabola is fitted to positions of a road user, and of the car, whose speed decides most."""
 _FEWEST = 5  # positions of a piece without a gap
+_BEFORE, _AFTER = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0), (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)  # s about a time, of a steady drive
+_UNEVEN, _AGREES = 2.5, 1.5  # standard errors
 _NAMED = 8  # ids in a message
 _OWN = 1.0  # m: what is nearer to the car's reference point all the time is the car itself
 
@@ -163,3 +167,52 @@ def states_at(track: Track, times: FloatArray, longest_gap: float, smoothed: flo
         inside = np.flatnonzero((times >= known[0] - 1e-9) & (times <= known[-1] + 1e-9))
         found[inside] = np.column_stack([np.interp(times[inside], even, column) for column in fitted.T])
     return found
+
+
+def path_at(track: Track, times: FloatArray, longest_gap: float) -> FloatArray:
+    """Return x, y (m) of a road user at some times (s), n × 2; nan where it is not tracked.
+
+    Of the parabolas over 1, 2 and 4 s that is taken which is the longest to agree with the shorter ones, within their
+    errors (Katkovnik's intersection of confidence intervals).
+    """
+    found = np.full((len(times), 2), np.nan)
+    low, high, agrees = np.full_like(found, -np.inf), np.full_like(found, np.inf), np.ones(len(times), dtype=bool)
+    to_end = np.minimum(times - track.times[0], track.times[-1] - times)
+    for smoothed in (SMOOTHED, 2.0 * SMOOTHED, 4.0 * SMOOTHED):
+        places = states_at(track, times, longest_gap, smoothed)[:, :2]
+        one = _AGREES * _noise(track) * 1.5 / math.sqrt(smoothed / float(np.median(np.diff(track.times))))
+        error = np.where(to_end < 0.5 * smoothed, 2.0 * one, one)[:, None]
+        low, high = np.fmax(low, places - error), np.fmin(high, places + error)
+        agrees = agrees & (low <= high).all(axis=1)
+        found = np.where(agrees[:, None], places, found) if smoothed > SMOOTHED else places
+    return found
+
+
+def steady_state(track: Track, time: float, longest_gap: float) -> FloatArray | None:
+    """Return x, y (m) and their velocities (m/s) at a time (s) by what was driven evenly about it; None: nothing was.
+
+    Of all spans about the time in which a constant velocity or acceleration leaves no more than noise, it is fitted to
+    the one from which the velocity follows best: a car at a steady speed is known better than by `states_at`.
+    """
+    noise, least, best = _noise(track), math.inf, None
+    for before, after, degree in itertools.product(_BEFORE, _AFTER, (1, 2)):
+        near = (track.times >= time - before) & (track.times <= time + after)
+        passed, free = track.times[near] - time, int(near.sum()) - degree - 1
+        if free < _FEWEST or np.diff(passed).max() > longest_gap:
+            continue
+        base, triangle = np.linalg.qr(np.vander(passed, degree + 2, increasing=True))
+        shares = base.T @ track.places[near]  # the last is of the next degree: it is to be noise, as what is left
+        left = float(((track.places[near] - base[:, :-1] @ shares[:-1]) ** 2).mean(axis=1).sum()) / free
+        if np.abs(shares[-1]).max() < _UNEVEN * noise and left < noise**2 * (1.0 + _UNEVEN / math.sqrt(free)):
+            inverse = np.linalg.inv(triangle[:-1, :-1])
+            if (error := float(np.linalg.norm(inverse[1]))) < least:
+                least, best = error, (inverse @ shares[:-1])[:2].ravel()
+    return best
+
+
+def _noise(track: Track) -> float:
+    """Return the standard deviation of positions about the line through their neighbours, m; jumps count little."""
+    before, after = (np.diff(track.times)[some] for some in (slice(None, -1), slice(1, None)))
+    share = (before / (before + after))[:, None]
+    off = track.places[1:-1] - (1.0 - share) * track.places[:-2] - share * track.places[2:]
+    return float(1.4826 * np.median(np.abs(off) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)))
