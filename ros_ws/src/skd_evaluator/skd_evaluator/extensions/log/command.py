@@ -156,10 +156,10 @@ def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
 
     again = sum(not row["why"] for row in rows)
     title = f"{counted(len(rows), 'conflict')}, of which {again} can be driven again; {car or 'no car under test'}"
-    heads = ("drive", "road user", "at (s)", "km/h", "margin (m)", "impact (km/h)", "recorded (m)", "bounds (m)")
+    heads = ("drive", "road user", "at (s)", "m/s", "margin (m)", "impact (m/s)", "recorded (m)", "bounds (m)")
     cells = []
     for row in rows[:_SHOWN]:
-        speed, impact = ("" if (one := row[key]) is None else f"{3.6 * one:.0f}" for key in ("speed", "impact_speed"))
+        speed, impact = ("" if (one := row[key]) is None else f"{one:.1f}" for key in ("speed", "impact_speed"))
         margin = "" if row["margin"] is None else f"{'' if row['exact'] else 'at most '}{row['margin']:.2f}"
         bounds = f"{row['least']:.2f} to {row['most']:.2f}"
         where = (escape(row["drive"]), escape(row["user"]), f"{row['nearest']:.2f}", speed)
