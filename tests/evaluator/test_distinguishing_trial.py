@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cli_support import BRAKE, skd
 from skd_evaluator import load_result
-from skd_evaluator.margin.distinguishing_trial import distinguishing_trials
+from skd_evaluator.margin.common_trajectories import distinguishing_trials
 from skd_sim.world.episode import Mode
 
 CARS = (

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
 
 from skd_evaluator import palette
-from skd_evaluator.margin.distinguishing_trial import DistinguishingTrial
+from skd_evaluator.margin.common_trajectories import DistinguishingTrial
 from skd_evaluator.report.episode_pictures import ShownEpisode, save_episode, save_picture
 from skd_evaluator.report.repeat import SCENARIO_FILE, TRAJECTORY_FILE, program, write_trial
 

@@ -1,41 +1,46 @@
-"""Margins of two cars after each of them has met the trajectories that were found for the other.
+"""Two cars on the same trajectories: margins that compare, and the smallest trial that tells the cars apart.
 
 A margin that was searched for is an upper bound, and depends on what the search happened to find. So before two cars
 are compared the hits of least deviation of either are walked before the other one too, and each trial keeps the smaller
 deviation: no car is called safer because its search was less lucky. Nothing further is searched. Exact margins stay.
+
+The smallest trial is the least deviation from a safe trajectory on which only one car hits. It is searched for with
+both cars: first where one hits at all, then a candidate counts as a hit only if the other car does not hit. Known hits
+of either are tried first. Each trial is the first run along its trajectory in a scenario of its own: any command drives
+it to the bit, by `--scenario`, `--safe` and `--seed`.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.errors import UsageError
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.compare.comparability import refusals
 from skd_evaluator.assessment.compare.gate import Check, not_worse
-from skd_evaluator.assessment.context import Progress, Runner
-from skd_evaluator.assessment.files.episodes_npz import read_episodes
+from skd_evaluator.assessment.context import Progress, Runner, silent
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.plan import Plan, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.margin.search.rounds import SAME, in_processes
-from skd_evaluator.margin.search.search import Earlier, OtherHit, margins_with_other_hits
+from skd_evaluator.margin.search.candidates import ENOUGH
+from skd_evaluator.margin.search.rounds import SAME, by_episodes, in_processes
+from skd_evaluator.margin.search.search import Earlier, Effort, OtherHit, margins_with_other_hits, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import Hit, hit_of
 from skd_evaluator.metrics.statistics import mean
 
 MARGIN = "margin"
-Hits = Sequence[Sequence[Hit | None]]
-"""For each φ the hits of least deviation, one a trial; None: no hit was found."""
 _LOWERED = 1e-3  # m: less is not said
 
 
@@ -53,14 +58,15 @@ def on_common_trajectories(
     searched = [one for one in both if one.figures.get("margin_budget") is not None]
     if not searched or any(MARGIN not in one.groups for one in both) or refusals(first, second):
         return first, second, ()
-    hits = [read_episodes(one.folder).margin_hits for one in both]
     found, lines = [], []
-    for one, mine, other, theirs in zip(both, hits, both[::-1], hits[::-1], strict=True):
+    for one, other in (both, both[::-1]):
         if one not in searched:
             found.append(one)
             continue
         try:
-            margins = _margins(one, mine, _hits(other, theirs), progress)
+            least_first = sorted(_hits(other), key=lambda pair: pair[1].distance)
+            offered = [OtherHit(phi, whole_trajectory(hit)) for phi, hit in least_first]
+            margins = _margins(one, offered, progress)
         except (AssessmentError, UsageError) as error:
             found.append(one)
             lines.append(f"{one.folder}: not tried on the trajectories that were found for {other.folder}: {error}")
@@ -81,10 +87,12 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     return not_worse(mine, earlier, lines)
 
 
-def _hits(result: StoredResult, hits_per_phi: Hits) -> list[OtherHit]:
-    """Return the hits of least deviation of a result, least first."""
-    found = [(hit, phi) for phi, mine in zip(result.safe, hits_per_phi, strict=True) for hit in mine if hit is not None]
-    return [OtherHit(phi, whole_trajectory(hit)) for hit, phi in sorted(found, key=lambda one: one[0].distance)]
+def _hits(result: StoredResult) -> list[tuple[FloatArray, Hit]]:
+    """Return the hits that a margin is of, each with its φ, φ by φ."""
+    if MARGIN not in result.groups:
+        return []
+    pairs = zip(result.safe, result.episodes.margin_hits, strict=True)
+    return [(phi, hit) for phi, hits in pairs for hit in hits if hit is not None]
 
 
 def whole_trajectory(hit: Hit) -> FloatArray:
@@ -107,7 +115,7 @@ def earlier_version(result: StoredResult, trials: Sequence[EpisodeSpec], runner:
         UsageError: the result has no trial of these.
         AssessmentError: the car fails.
     """
-    hits = read_episodes(result.folder).margin_hits if int(result.figures["seed"]) == trials[0].seed else ()
+    hits = result.episodes.margin_hits if int(result.figures["seed"]) == trials[0].seed else ()
     known = dict(zip((one.tobytes() for one in result.safe), hits, strict=False))
     found, margins = [], []
     for trial in trials:
@@ -130,10 +138,10 @@ def check_repeats(result: StoredResult, progress: Progress) -> None:
         UsageError: the car cannot be made here.
         AssessmentError: it does not.
     """
-    _margins(result, read_episodes(result.folder).margin_hits, (), progress)
+    _margins(result, (), progress)
 
 
-def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress: Progress) -> tuple[FloatArray, ...]:
+def _margins(result: StoredResult, hits: Sequence[OtherHit], progress: Progress) -> tuple[FloatArray, ...]:
     """Return the margins of each φ, m, of a car that also meets some other trajectories.
 
     Raises:
@@ -141,7 +149,7 @@ def _margins(result: StoredResult, own: Hits, hits: Sequence[OtherHit], progress
         AssessmentError: it fails, or does not repeat the hits of the result.
     """
     trials, groups = _trials(result), result.groups[MARGIN]
-    pairs = zip(trials, itertools.chain.from_iterable(own), strict=True)
+    pairs = zip(trials, itertools.chain.from_iterable(result.episodes.margin_hits), strict=True)
     hit_in = [(trial, hit) for trial, hit in pairs if hit is not None]
     first = trials[0]
     with InProcessRunner(available_workers(), isolated=not first.car.is_own) as runner:
@@ -164,13 +172,13 @@ def _trials(result: StoredResult) -> list[EpisodeSpec]:
     Raises:
         UsageError: its car cannot be run here.
     """
-    car, scenario = car_of(result), scenario_of(result)
+    car, scenario = _car_of(result), _scenario_of(result)
     plan = Plan(scenario, controller=car.controller, multiplier=car.multiplier, seed=int(result.figures["seed"]))
     safe = [Trajectory(phi, scenario.time_step, f"φ {index}") for index, phi in enumerate(result.safe)]
     return plan.trials(safe, len(result.groups[MARGIN][0]))
 
 
-def car_of(result: StoredResult) -> CarUnderTest:
+def _car_of(result: StoredResult) -> CarUnderTest:
     """Return the car of a result, which can be run here.
 
     Raises:
@@ -184,15 +192,185 @@ def car_of(result: StoredResult) -> CarUnderTest:
     return car
 
 
-def scenario_of(result: StoredResult) -> Scenario:
+def _scenario_of(result: StoredResult) -> Scenario:
     """Return the scenario of a result, with the control period that its car declares.
 
     Raises:
         UsageError: its car does not go with it.
     """
-    return check_controller(car_of(result), scenario_from_dict(result.figures["scenario"], str(result.folder)))
+    return check_controller(_car_of(result), scenario_from_dict(result.figures["scenario"], str(result.folder)))
 
 
 def _repeats(trial: EpisodeSpec, distance: float, log: EpisodeLog) -> bool:
     phi = trial.safe_trajectory
     return log.hit and phi is not None and abs(hit_of(phi.positions, log).distance - distance) <= SAME
+
+
+EFFORT = Effort(first=64, limit=256, excursions=128, deepens=False)
+
+
+@dataclass(frozen=True, eq=False)
+class DistinguishingTrial:
+    """A trial in which one car hits and another does not.
+
+    Attributes:
+        number: of the safe trajectory φ.
+        safe: φ, n × 2, m.
+        hit: what the deviation is, and how fast the car hits.
+        hits: the episode of the car that hits, in mode replay.
+        misses: the same episode with the other car.
+    """
+
+    number: int
+    safe: FloatArray
+    hit: Hit
+    hits: EpisodeLog
+    misses: EpisodeLog
+
+    @property
+    def parts_at(self) -> float:
+        """Time up to which both cars are in the same place at the same speed, s."""
+        both = min(len(self.hits.car), len(self.misses.car))
+        alike = np.all(self.hits.car[:both] == self.misses.car[:both], axis=1)
+        return self.scenario.time_step * (int(np.logical_and.accumulate(alike).sum()) - 1)
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario in which this trial is the first run along its trajectory."""
+        return self.hits.episode.scenario
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain data: m, m/s and s."""
+        return {
+            "safe_number": self.number,
+            "deviation": self.hit.distance,
+            "impact_speed": self.hit.impact_speed,
+            "cars_part_at": self.parts_at,
+            "impact_time": self.hits.impact_time,
+        }
+
+
+class TestedCar(NamedTuple):
+    """A car that can be run here, and what is known of it.
+
+    Attributes:
+        car: the car.
+        scenario: the scenario, with the control period that the car declares.
+        seed: of the trials.
+        safe: each φ, n × 2, m.
+        hits: trajectories that hit it or are likely to.
+    """
+
+    car: CarUnderTest
+    scenario: Scenario
+    seed: int
+    safe: Sequence[FloatArray]
+    hits: Sequence[OtherHit]
+
+    def drives(self, episode: EpisodeSpec) -> EpisodeSpec:
+        """Return an episode with this car under test."""
+        return replace(
+            episode,
+            scenario=replace(episode.scenario, control_period=self.scenario.control_period),
+            public=None,
+            controller=self.car.controller,
+            multiplier=self.car.multiplier,
+            adversary_model=AdversaryModel.GENERIC,  # nothing is planned
+        )
+
+
+class _BothCars:
+    """A runner of one car that has another one drive where it hits.
+
+    Attributes:
+        apart: trajectories on which it hits and the other one does not, positions at ticks, n × 2, m.
+        alone: whether a hit counts only where the other car does not hit.
+    """
+
+    def __init__(self, runner: Runner, other: TestedCar) -> None:
+        self._runner, self._other = runner, other
+        self.apart: list[FloatArray] = []
+        self.alone = False
+
+    def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
+        """Run episodes; see `Runner`."""
+        logs = list(self._runner.run(episodes))
+        others = iter(list(self._runner.run([self._other.drives(log.episode) for log in logs if log.hit])))
+        for log in logs:
+            if log.hit and next(others).hit:
+                yield replace(log, outcome=Outcome.MISSED) if self.alone else log
+                continue
+            if log.hit:
+                self.apart.append(log.adversary)
+            yield log
+
+
+def distinguishing_trials(
+    first: StoredResult, second: StoredResult, progress: Progress = silent
+) -> tuple[DistinguishingTrial | None, DistinguishingTrial | None]:
+    """Return the smallest trial in which only the first car hits, and that in which only the second does, where found.
+
+    Args:
+        first: an assessment of a car that can be run here.
+        second: another one, of the same scenario.
+        progress: called with how far the work is.
+
+    Raises:
+        UsageError: a car cannot be run here.
+        AssessmentError: it fails.
+    """
+    one, other = map(_tested, (first, second))
+    with InProcessRunner(available_workers(), isolated=not (one.car.is_own and other.car.is_own)) as runner:
+        runner.start()
+        return smallest_trial(one, other, runner, progress), smallest_trial(other, one, runner, progress)
+
+
+def _tested(result: StoredResult) -> TestedCar:
+    hits = [OtherHit(phi, whole_trajectory(hit)) for phi, hit in _hits(result)]
+    return TestedCar(_car_of(result), _scenario_of(result), int(result.figures["seed"]), result.safe, hits)
+
+
+def smallest_trial(
+    car: TestedCar, other: TestedCar, runner: Runner, progress: Progress = silent
+) -> DistinguishingTrial | None:
+    """Return the smallest trial in which one car hits and the other does not; None where none was found.
+
+    Args:
+        car: the one that hits; the trials are on its φ.
+        other: the one that does not.
+        runner: has been started.
+        progress: called with how far the work is.
+
+    Raises:
+        AssessmentError: a car fails.
+    """
+    both, found = _BothCars(runner, other), None
+    rounds = by_episodes(both, silent)
+    scenario, hits = car.scenario, (*car.hits, *other.hits)
+    for number, phi in enumerate(car.safe):
+        bound = scenario.eta_max if found is None else found.hit.distance
+        safe = Trajectory(phi, scenario.time_step)
+        trial = _first_run(replace(scenario, eta_max=bound), safe, car.seed, car)
+        tried = [phi, *(hit.positions for hit in hits if np.array_equal(hit.safe, phi))]
+        known = [prescribed(trial, one) for one in tried]
+        both.apart, both.alone = [], False  # hits of least deviation of this car are likely to be its alone
+        search_margins([trial], {trial.episode_id: list(both.run(known))}, rounds, EFFORT)
+        known, both.alone = [prescribed(trial, one) for one in both.apart], True
+        searched = search_margins([trial], {trial.episode_id: list(both.run(known))}, rounds, EFFORT)
+        progress("trials that tell the cars apart", number + 1, len(car.safe))
+        (hit,), (episode,) = searched.hits, searched.episodes
+        if hit is not None and episode is not None:
+            shown = replace(episode, scenario=replace(episode.scenario, eta_max=scenario.eta_max))
+            hits_log, misses_log = runner.run([car.drives(shown), other.drives(shown)])
+            found = DistinguishingTrial(number, phi, hit, hits_log, misses_log)
+            if hit.distance <= ENOUGH:
+                break
+    return found
+
+
+def _first_run(scenario: Scenario, safe: Trajectory, seed: int, car: TestedCar) -> EpisodeSpec:
+    """Return the first run along a φ as the only one of its scenario, for a search: in kamikaze mode."""
+    number = episode_id(EpisodeGroup.NOMINAL, 0, 0)
+    start = EpisodeSpec(scenario, Mode.KAMIKAZE, seed, number, safe_trajectory=safe).start_gap
+    fixed = replace(scenario, car=replace(scenario.car, meet_safe_trajectory=False, start_gap=start))
+    return car.drives(EpisodeSpec(fixed, Mode.KAMIKAZE, seed, number, safe_trajectory=safe))

@@ -28,9 +28,9 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import write_file
-from skd_evaluator.margin.distinguishing_trial import DistinguishingTrial, TestedCar, smallest_trial
+from skd_evaluator.margin.common_trajectories import DistinguishingTrial, TestedCar, smallest_trial
 from skd_evaluator.margin.search.rounds import in_processes
-from skd_evaluator.margin.search.search import Effort, search_margins
+from skd_evaluator.margin.search.search import Effort, OtherHit, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import hit_of
 
@@ -201,11 +201,10 @@ class PairedTest:
         part = slice(0, self.known["trials"])
         least = sorted(zip(self._deviations(worse, before, part), range(part.stop), strict=True))[:_PHIS]
         safe = [worse.safe[number].positions for _, number in least]
-        phis = [one.positions.tobytes() for one in worse.safe[part]]
         hits = [
-            (phi, hit)
+            OtherHit(phi.positions, hit)
             for version in (worse, before, *self._ends)
-            for phi, hit in zip(phis, self._hits(version, part), strict=True)
+            for phi, hit in zip(worse.safe[part], self._hits(version, part), strict=True)
             if hit is not None
         ]
         car, other = (TestedCar(one.plan.car, one.plan.scenario, one.plan.seed, safe, hits) for one in (worse, before))

@@ -11,6 +11,7 @@ from skd_sim.options.car_under_test import BASIC, DYNAMICS, WORLD
 from skd_sim.options.options import FIELDS, PLANNING, EpisodeOptions, options_of
 
 from skd_evaluator.assessment.figure_table import Of, keys_of
+from skd_evaluator.assessment.files.episode_store import changes
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import UNDISTURBED, in_one_line, not_credible
 
@@ -137,23 +138,9 @@ def differences(
     one: Mapping[str, Any], other: Mapping[str, Any], free: frozenset[str] = frozenset()
 ) -> Iterator[Different]:
     """Yield the keys in which plain data differ, `section.key`, in their order; those that are free may."""
-    first, second = _flat(one, free), _flat(other, free)
-    for key in sorted(first.keys() | second.keys()):
-        if first.get(key) != second.get(key):
-            yield key, first.get(key), second.get(key)
-
-
-def _flat(data: Mapping[str, Any], free: frozenset[str], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in data.items():
-        name = f"{prefix}{key}"
-        if name in free:
-            continue
-        if isinstance(value, Mapping):
-            flat |= _flat(value, free, f"{name}.")
-        else:
-            flat[name] = value
-    return flat
+    for key, values in sorted(changes(one, other).items()):
+        if free.isdisjoint((key, key.partition(".")[0])):
+            yield key, *values
 
 
 def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:

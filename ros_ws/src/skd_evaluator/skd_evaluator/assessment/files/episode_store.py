@@ -44,7 +44,7 @@ def flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def changes(then: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Return what differs in plain data, by its keys joined by dots: value then and now; None of what is not there."""
-    before, after = flat(then), flat(json.loads(json.dumps(now)))
+    before, after = (flat(json.loads(json.dumps(one))) for one in (then, now))
     pairs = {key: (before.get(key), after.get(key)) for key in {**after, **before}}
     return {key: (one, other) for key, (one, other) in pairs.items() if one != other}
 

@@ -188,7 +188,7 @@ def explanations(
 ) -> list[Explanation]:
     """Return the smallest trials in which only one of the first car and another one hits, for each other car."""
     from skd_evaluator.cli.explain import Explanation
-    from skd_evaluator.margin.distinguishing_trial import distinguishing_trials
+    from skd_evaluator.margin.common_trajectories import distinguishing_trials
 
     found = []
     for name, other in zip(names[1:], results[1:], strict=True):
