@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from skd_adversary.safe_trajectories.sources import read_csv_trajectory
 from skd_evaluator.assessment.stages.margin import exact_or_found
 from skd_evaluator.bags.checks import Damage
@@ -20,7 +21,7 @@ from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, pat
 from skd_sim.scenario.scenario import changed_scenario, load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory
-from test_recorded_tracks import USER, car_at, drive, walk, write
+from test_recorded_tracks import USER, Sent, car_at, drive, header, made, pose, walk, walking, write, write_sqlite
 
 SPEED, WALK, MEETS, CLOCK = 8.0, 1.4, 7.0, 1000.0  # m/s, m/s, s after the beginning, s
 REQUEST = ConflictRequest(load_scenario("crossing"))
@@ -258,6 +259,43 @@ def test_a_bag_whose_car_is_a_frame_and_whose_objects_are_seen_by_its_lidar(tmp_
     crosses = (x + 0.1 * time, 0.2)
     assert one.speed == pytest.approx(speed, abs=1e-3)
     assert one.gap == pytest.approx(math.dist((x, y), crosses) - 2.25, abs=0.01)
+
+
+def test_objects_of_autoware_are_the_road_users_of_a_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Their types stand in the bag alone; here with the fields that are read."""
+    store, package = get_typestore(Stores.ROS2_JAZZY), "autoware_perception_msgs/msg/"
+    uuid = "unique_identifier_msgs/msg/UUID"
+    defined = {
+        f"{package}TrackedObjectKinematics": "geometry_msgs/PoseWithCovariance pose_with_covariance",
+        f"{package}TrackedObject": f"{uuid} object_id\n{package}TrackedObjectKinematics kinematics",
+        f"{package}TrackedObjects": f"std_msgs/Header header\n{package}TrackedObject[] objects",
+        uuid: "uint8[16] uuid",
+    }
+    for name, text in defined.items():
+        if name not in store.types:
+            store.register(get_types_from_msg(text, name))
+    monkeypatch.setattr("test_recorded_tracks.typestore", lambda: store)
+    sent = []
+    for tick in range(200):
+        time, ((ego,), (user,)) = (
+            CLOCK + tick / 20.0,
+            (place(np.array([tick / 20.0])) for place in (straight, crossing())),
+        )
+        at = made("geometry_msgs/msg/PoseWithCovariance", pose=pose(*user.tolist(), 0.0), covariance=np.zeros(36))
+        one = made(
+            f"{package}TrackedObject",
+            object_id=made(uuid, uuid=np.arange(16, dtype=np.uint8)),
+            kinematics=made(f"{package}TrackedObjectKinematics", pose_with_covariance=at),
+        )
+        objects = made(f"{package}TrackedObjects", header=header(time, "odom"), objects=[one])
+        sent += [walking(time, *ego.tolist()), Sent("/objects", f"{package}TrackedObjects", time, objects)]
+    write_sqlite(tmp_path / "drive", sent)
+    (read,) = read_drives([tmp_path], DriveRequest(), Damage(skip=True))
+    assert isinstance(read, RecordedDrive), read
+    (one,) = conflicts_in(read, REQUEST)
+    assert one.user == f"/objects:{bytes(range(16)).hex()}"
+    assert one.speed == pytest.approx(SPEED, abs=1e-6)
+    assert one.nearest - CLOCK == pytest.approx(MEETS, abs=1.0)
 
 
 def test_a_recording_that_does_not_say_which_is_the_car_is_left_out_with_the_reason(tmp_path: Path):

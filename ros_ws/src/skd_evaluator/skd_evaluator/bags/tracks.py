@@ -1,7 +1,8 @@
 """Tracked objects of recordings: of bags, by topic, id or frame, and of csv tables, by id.
 
 A name in a bag is a topic of Odometry, of a pose or of a point, as `/ego/odometry`; `/tf:base_link` is a frame of /tf,
-and `/detections:42` the object of a Detection3DArray with this id. Times are those of the messages' stamps.
+and `/detections:42` the object of a Detection3DArray, or of Autoware's TrackedObjects, with this id. Times are those of
+the messages' stamps.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ _READ = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/PointStamped",
     "vision_msgs/msg/Detection3DArray",
+    "autoware_perception_msgs/msg/TrackedObjects",
 )
 
 
@@ -608,6 +610,10 @@ def _objects(received: Received, message: Any) -> Iterator[tuple[str, _Row]]:
             if id_ is None:
                 id_ = getattr(one, "tracking_id", "")  # before ROS 2 Humble
             yield str(id_), _row(received, (one.header, message.header), one.bbox.center)
+    elif kind.endswith("TrackedObjects"):
+        for one in message.objects:
+            pose = one.kinematics.pose_with_covariance.pose
+            yield bytes(one.object_id.uuid).hex(), _row(received, (message.header,), pose)
     elif kind.endswith("Odometry"):
         linear = message.twist.twist.linear
         yield "", _row(received, (message.header,), message.pose.pose, math.hypot(linear.x, linear.y))

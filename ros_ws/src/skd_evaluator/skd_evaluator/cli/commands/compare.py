@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import ControllerName
@@ -101,9 +102,8 @@ def _compare(arguments: argparse.Namespace, folders: Sequence[Path], controller:
 
     if len(folders) < 2:
         raise UsageError("give folders with at least two assessments")
-    results = [read_result(path) for path in folders]
     with understood(Path("one of the results")):
-        return _run(arguments, results, str(ControllerName(controller)))
+        return _run(arguments, list(map(read_result, folders)), str(ControllerName(controller)))
 
 
 def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], controller: str) -> int:
@@ -143,7 +143,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
     remarks = [line for one in results for line in one.remarks]
     warnings = [*remarks, *tried, *(line for one in compared for line in one.lines()), *equal_remarks(rows, "car")]
     ranked_by = ranking_figure(results)
-    content = {
+    content: dict[str, Any] = {
         "rows": rows,
         "ranked_by": ranked_by,
         "confidence": confidence,
@@ -151,10 +151,12 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
         **({"only_one_hits": [one.as_dict() for one in found]} if arguments.explain else {}),
         "warnings": list(dict.fromkeys(warnings)),
     }
+    if arguments.rev:  # each was rated in a folder that goes; its name says the revision
+        content = json.loads(json.dumps(content).replace(f"{results[0].folder.parent}/", ""))
 
     def show() -> None:
         print_table(comparison_table(rows, ranked_by))
-        print_table(verdict_table(entries, names[0], confidence))
+        print_table(verdict_table(content["comparisons"], names[0], confidence))
         for one in found:
             print(one.text)
 
@@ -180,7 +182,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
                 print(one.command(out.path))
 
     failed = limit_failures(limits, {name: one.figures for name, one in zip(names, results, strict=True)})
-    return max(finish(arguments, content, place, warnings, [problem, *failed]), not read)
+    return max(finish(arguments, content, place, content["warnings"], [problem, *failed]), not read)
 
 
 def explanations(

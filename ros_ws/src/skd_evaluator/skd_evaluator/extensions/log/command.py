@@ -151,6 +151,7 @@ def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
     """Print the conflicts, the worst first, and why some were not driven again."""
     from rich.markup import escape
 
+    from skd_evaluator.extensions.log.conflicts import short_name
     from skd_evaluator.report.formats import counted
     from skd_evaluator.report.terminal import narrow_table, print_table
 
@@ -162,7 +163,7 @@ def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
         speed, impact = ("" if (one := row[key]) is None else f"{one:.1f}" for key in ("speed", "impact_speed"))
         margin = "" if row["margin"] is None else f"{'' if row['exact'] else 'at most '}{row['margin']:.2f}"
         bounds = f"{row['least']:.2f} to {row['most']:.2f}"
-        where = (escape(row["drive"]), escape(row["user"]), f"{row['nearest']:.2f}", speed)
+        where = (escape(row["drive"]), escape(short_name(row["user"])), f"{row['nearest']:.2f}", speed)
         cells.append([*where, margin, impact, f"{row['recorded']:.2f}", bounds, escape(row["why"])])
     print_table(narrow_table(title, (*heads, "not driven again because"), cells))
     if len(rows) > _SHOWN:

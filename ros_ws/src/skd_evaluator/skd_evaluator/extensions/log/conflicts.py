@@ -188,13 +188,19 @@ def _conflict(
         float(driven[0, 3]),
         *_bounds(request, driven, seen),
     )
-    others = [one.user.name for one in every if one is not approach and _overlap(one, approach)]
+    others = [short_name(one.user.name) for one in every if one is not approach and _overlap(one, approach)]
     if others:
         return replace(found, why=f"several conflicts at once: also with {', '.join(dict.fromkeys(others))}")
     try:
         return _simulated(found, times, driven, user, request)
     except UsageError as error:
         return replace(found, why=str(error))
+
+
+def short_name(user: str) -> str:
+    """Return the id of a tracked object, of a long one its beginning; the name of what has none."""
+    name = user.rpartition(":")[2]
+    return f"{name[:8]}…" if len(name) == 32 and name.isalnum() else name  # a UUID
 
 
 def _overlap(one: _Approach, other: _Approach) -> bool:
@@ -238,7 +244,7 @@ def _simulated(
         crossed = float(phi[int(np.argmin(np.abs(phi[:, 0]))), 1])
     crossed = max(crossed, base.car.front)
     phi[:, 1] -= crossed
-    name = f"{found.drive}-{found.user.rsplit(':')[-1].strip('/')}-{found.begins:.1f}"
+    name = f"{found.drive}-{short_name(found.user).strip('/')}-{found.begins:.1f}"
     scenario = _scenario(base, name, phi, found.speed, crossed - base.car.front)
     return replace(found, scenario=scenario, safe=Trajectory(phi, base.time_step, name), gap=scenario.car.start_gap)
 
