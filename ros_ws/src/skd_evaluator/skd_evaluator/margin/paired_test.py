@@ -42,6 +42,7 @@ SCALE: Final = 0.25
 """m: a greater difference counts as this."""
 EFFORT: Final = Effort(first=32, limit=64, deepens=False)
 _SHARES: Final = np.linspace(0.1, 0.9, 9)  # of the capital that are bet; each has a ninth of it at the beginning
+_SAME: Final = "drives exactly like a revision that is judged"
 _TRIALS: Final = 8  # that are searched at once
 _PHIS: Final = 3  # among whose trials the smallest that distinguishes two versions is looked for
 
@@ -177,17 +178,13 @@ class PairedTest:
         if word := verdicts.get(key):
             return Judgement(word, "has the same files as a revision that is judged")
         try:
-            return self._found(make())
+            version = make()
+            driven = self._driven(version)
+            same = Judgement(verdicts[driven], _SAME) if driven in verdicts else None
+            found = same or self._tested(version)
         except (UsageError, AssessmentError) as error:
             return Judgement(SKIP, str(error))
-
-    def _found(self, version: Version) -> Judgement:
-        verdicts, driven = self.known["verdicts"], self._driven(version)
-        if driven in verdicts:
-            found = Judgement(verdicts[driven], "drives exactly like a revision that is judged")
-        else:
-            found = self._tested(version)
-        verdicts |= {version.key: found.word, driven: found.word}
+        verdicts |= {key: found.word, driven: found.word}
         return found
 
     def distinguishing_trial(self, worse: Version, before: Version) -> DistinguishingTrial | None:

@@ -204,9 +204,8 @@ def _opened(arguments: argparse.Namespace, progress: Progress) -> Iterator[_Bise
     if contents[0] == contents[1]:
         raise UsageError(f"{arguments.good} and {arguments.bad} have the same files")
     level = level_of(int(repository.git("rev-list", "--count", f"{good}..{bad}")))
-    options = {key: str(value) for key, value in vars(plan).items() if key != "scenario"}
-    key = digest_of([dict(environment()), options, plan.scenario.as_dict(), contents, level]).hex()
-    file = repository.storage / "skd-bisect" / f"{key}.json"
+    key = digest_of([dict(environment()), repr(plan), contents, level])
+    file = repository.storage / "skd-bisect" / f"{key.hex()}.json"
     with repository.checkouts() as folder, runner_of(arguments, isolated=True) as runner:
         runner.start(inherited=warm_up_margins)
         safe = safe_trajectories(plan, runner, progress)
