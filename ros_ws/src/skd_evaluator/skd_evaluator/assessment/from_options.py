@@ -70,7 +70,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     """
     if not graph:
         for one in options_of(GraphOptions):
-            if GRAPH in one.marks and values[one.name] != one.unsaid:
+            if GRAPH in one.marks and values.get(one.name, one.unsaid) != one.unsaid:
                 raise UsageError(f"{one.flag} is for the node graph: add --graph")
     car = CarUnderTest(values["controller"], values["multiplier"])
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
@@ -84,7 +84,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     if not car.is_external:
         scenario = check_controller(car, scenario)
         for one in options_of(GraphOptions):
-            if EXTERNAL in one.marks and values[one.name] != one.unsaid:
+            if EXTERNAL in one.marks and values.get(one.name, one.unsaid) != one.unsaid:
                 raise UsageError(f"{one.flag} goes with --controller external")
     elif not graph:
         how = "add --graph" if "graph" in values else "skd assess --graph runs it"

@@ -24,8 +24,6 @@ from skd_evaluator.cli.output import finish
 from skd_evaluator.cli.parser import Parser
 
 if TYPE_CHECKING:
-    from skd_sim.scenario.scenario import Scenario
-
     from skd_evaluator.extensions.log.conflicts import Conflict
 
 RESULT = "log.json"
@@ -75,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_sim.scenario.scenario import load_scenario
 
     from skd_evaluator.assessment.files.result_folder import write_json
+    from skd_evaluator.assessment.from_options import check_car
     from skd_evaluator.bags.checks import Damage
     from skd_evaluator.extensions.log.conflicts import ConflictRequest, conflicts_in
     from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, read_drives
@@ -82,7 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.version import version
 
-    damage, scenario = Damage(skip=True), _checked(arguments, load_scenario(arguments.scenario))
+    damage, scenario = Damage(skip=True), load_scenario(arguments.scenario)
+    if arguments.controller is not None:  # which may declare a control period
+        scenario = check_car(vars(arguments), scenario, graph=False)
     gap, known = arguments.longest_gap, 0
     request = ConflictRequest(scenario, arguments.within, arguments.reaction, gap, arguments.reference)
     drives = DriveRequest(arguments.car, arguments.map_frame, arguments.tf_topic, gap)
@@ -131,20 +132,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     warnings = [*damage.lines, *(f"{what}: left out: {why}" for what, why in left_out)]
     return finish(arguments, content, show, warnings, [problem, None if known else "no recording could be read"])
-
-
-def _checked(arguments: argparse.Namespace, scenario: Scenario) -> Scenario:
-    """Return the scenario with the control period of the car under test, after all checks of it."""
-    from skd_sim.options.options import options_of
-
-    from skd_evaluator.assessment.from_options import check_car
-    from skd_evaluator.assessment.options import GraphOptions
-
-    if arguments.controller is None:
-        return scenario
-    return check_car(
-        {one.name: one.unsaid for one in options_of(GraphOptions)} | vars(arguments), scenario, graph=False
-    )
 
 
 def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
