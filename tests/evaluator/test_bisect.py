@@ -134,7 +134,7 @@ def test_two_revisions_are_rated_with_the_same_options_and_compared(repository, 
     margins = {row["car"]: row["margin"] for row in content["rows"]}
     assert margins["Brake-worse"] < margins["Brake-mended"]
     assert {load_result(row["folder"]).figures["car"] for row in content["rows"]} == set(margins)
-    assert any("the margin of Brake-worse is at most" in line for line in content["warnings"])
+    assert any(f"the margin of {out}/Brake-worse is at most" in line for line in content["warnings"])
     assert "skd-revisions-" not in done.stdout + done.stderr
     trials = {one["hits"]: one["folder"] for one in content["only_one_hits"]}
     assert "'team.cars:Brake'" in (out / trials["Brake-worse"] / "test_hit.py").read_text()

@@ -79,17 +79,12 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 
     def show() -> None:
         unit = "" if arguments.figure == "contact_rate" else " m"
-        what = "the difference in " if arguments.difference is not None else ""
-        goal = (
-            f"a difference of {arguments.difference}"
-            if arguments.width is None
-            else f"an interval of {arguments.width:g}"
-        )
+        what, goal = "", f"an interval of {arguments.width}"
+        if arguments.width is None:
+            what, goal = "the difference in ", f"a difference of {arguments.difference}"
+        of_what = f"{what}{arguments.figure.replace('_', ' ')}"
         print(f"{source.text}, for {goal}{unit}.")
-        print(
-            f"Standard deviation of {what}{arguments.figure.replace('_', ' ')}: {between**0.5:.3f}{unit} between safe "
-            f"trajectories φ, {within**0.5:.3f}{unit} between trials on one."
-        )
+        print(f"Standard deviation of {of_what}: {between**0.5:.3f}{unit} between φ, {within**0.5:.3f}{unit} on one.")
         print_table(_table(sizes, cheapest))
         print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
 

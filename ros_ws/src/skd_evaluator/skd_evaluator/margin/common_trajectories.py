@@ -297,12 +297,10 @@ class _BothCars:
         logs = list(self._runner.run(episodes))
         others = iter(list(self._runner.run([self._other.drives(log.episode) for log in logs if log.hit])))
         for log in logs:
-            if log.hit and next(others).hit:
-                yield replace(log, outcome=Outcome.MISSED) if self.alone else log
-                continue
-            if log.hit:
+            both = log.hit and next(others).hit
+            if log.hit and not both:
                 self.apart.append(log.adversary)
-            yield log
+            yield replace(log, outcome=Outcome.MISSED) if both and self.alone else log
 
 
 def distinguishing_trials(

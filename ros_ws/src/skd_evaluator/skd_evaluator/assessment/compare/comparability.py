@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from skd_sim.inputs.files import one_line
@@ -126,21 +126,14 @@ def scenario_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Dif
         other: the other scenario, in the same form.
     """
     tyres = all(has_tyres(scenario) for scenario in (one, other))
-    return next(differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)
+    free, found = _FREE if tyres else _FREE | {FRICTION}, changes(one, other)
+    compared = (key for key in sorted(found) if free.isdisjoint((key, key.partition(".")[0])))
+    return next(((key, *found[key]) for key in compared), None)
 
 
 def has_tyres(scenario: Mapping[str, Any]) -> bool:
     """Return whether the car of a scenario, as plain data, has tyres: only they feel the road's friction."""
     return DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres
-
-
-def differences(
-    one: Mapping[str, Any], other: Mapping[str, Any], free: frozenset[str] = frozenset()
-) -> Iterator[Different]:
-    """Yield the keys in which plain data differ, `section.key`, in their order; those that are free may."""
-    for key, values in sorted(changes(one, other).items()):
-        if free.isdisjoint((key, key.partition(".")[0])):
-            yield key, *values
 
 
 def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
@@ -151,8 +144,8 @@ def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
     names = [one_line(str(one["name"])) for one in both]
     if names[0] != names[1]:
         return " and ".join(names)
-    differ = list(differences(*both))
-    values = [(key.split(".")[1], *values) for key, *values in differ if key.endswith(".value")]
+    differ = sorted(changes(*both).items())
+    values = [(key.split(".")[1], *values) for key, values in differ if key.endswith(".value")]
     said = ", ".join(f"{name} is {here} and {there}" for name, here, there in values) or f"other {differ[0][0]}"
     return f"both called {names[0]} ({said})"
 

@@ -121,7 +121,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
     rows = [
         {
             "car": name,
-            "folder": str(out.path / result.folder.name if arguments.rev else result.folder),
+            "folder": str(result.folder),
             **{key: result.figures.get(key) for key in columns("compare")},
             "warnings": not_credible(result.figures.get("warnings") or ()),
         }
@@ -151,8 +151,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
         **({"only_one_hits": [one.as_dict() for one in found]} if arguments.explain else {}),
         "warnings": list(dict.fromkeys(warnings)),
     }
-    if arguments.rev:  # each was rated in a folder that goes; its name says the revision
-        content = json.loads(json.dumps(content).replace(f"{results[0].folder.parent}/", ""))
+    if arguments.rev:  # each was rated elsewhere, and will be there
+        content = json.loads(json.dumps(content).replace(str(results[0].folder.parent), str(out.path)))
 
     def show() -> None:
         print_table(comparison_table(rows, ranked_by))

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from skd_sim.controllers.isolated import isolated
 from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_under_test import CarUnderTest, ControllerName
 from skd_sim.world.episode import EpisodeSpec, Mode
 
 from skd_evaluator.assessment.context import Progress
@@ -43,17 +43,10 @@ def with_margins(
         AssessmentError: the car fails.
     """
     found = list(conflicts)
+    of_car: dict[str, Any] = {"controller": car.controller, "multiplier": car.multiplier}
+    of_car["adversary_model"] = AdversaryModel.GENERIC  # nothing is planned
     trials = [
-        EpisodeSpec(
-            one.scenario,
-            Mode.KAMIKAZE,
-            0,
-            row,
-            one.safe,
-            controller=car.controller,
-            multiplier=car.multiplier,
-            adversary_model=AdversaryModel.GENERIC,  # nothing is planned
-        )
+        EpisodeSpec(one.scenario, Mode.KAMIKAZE, 0, row, one.safe, **of_car)
         for row, one in enumerate(found)
         if one.scenario is not None
     ]
@@ -99,10 +92,8 @@ def export(folder: Path, conflicts: Sequence[Conflict], controller: str | None, 
         write_trial(inside, one.scenario, one.safe)
         files = {"scenario": f"{inside.name}/{SCENARIO_FILE}", "safe": f"{inside.name}/{TRAJECTORY_FILE}"}
         cells.append({"name": inside.name, **files})
-    file, of_file, name = (controller or "basic").rpartition(".py:")
-    car: dict[str, Any] = {"controller": f"{Path(file).resolve()}{of_file}{name}" if of_file else name}
-    if car["controller"] == "basic":
-        car["multiplier"] = multiplier
+    name = str(ControllerName(controller or "basic"))
+    car = {"controller": name, **({"multiplier": multiplier} if name == "basic" else {})}
     few = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1}
     campaign = {"defaults": few, "cars": [car], "scenarios": cells}
     (folder / CAMPAIGN).write_text(yaml.safe_dump(campaign, sort_keys=False), encoding="utf-8")
