@@ -46,18 +46,6 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     assert [row["car"] for row in json.loads(same.stdout)["rows"]] == ["basic, C = 0.5 (one)", "basic, C = 0.5 (again)"]
 
 
-def test_the_curve_of_margins_has_the_margin_above_it(skd_here, here):
-    done = skd_here(*ASSESS, "--multiplier", "0.9", "--out", "one")
-    assert done.returncode == 0, done.stderr
-    found = content(here / "one" / "assessment.json")
-    margins, kamikazes = (found["vulnerability_curve"][name] for name in ("margins", "kamikazes"))
-    assert margins["trials"] == kamikazes["trials"]
-    assert margins["area_above"] == pytest.approx(found["margin"], abs=1e-9)
-    assert margins["area_above"] <= kamikazes["area_above"]
-    for best, tried in zip(margins["points"], kamikazes["points"], strict=True):
-        assert best["probability"] >= tried["probability"]
-
-
 def test_what_does_not_compare_is_said_or_refused(skd_here, here):
     assert skd_here(*ASSESS, "--out", "one").returncode == 0
     assert skd_here("assess", *RANKING, "--out", "two").returncode == 0
