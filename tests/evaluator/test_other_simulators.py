@@ -70,7 +70,13 @@ def test_margin_and_risk_by_whole_episodes(twin, tmp_path):
     file = tmp_path / "quiet.yaml"
     file.write_text(json.dumps({**quiet.as_dict(), "name": "quiet"}))
     small = {"safe_count": 2, "kamikaze_count": 2, "collision_runs": 4, "simulations": 200, "workers": 1}
-    there = assess("basic", scenario=str(file), simulator="twin", objective="deviation", **small)
+    twin = {"scenario": str(file), "simulator": "twin", "objective": "deviation", **small}
+    there = assess("basic", out=tmp_path / "there", **twin)
+    again = assess("basic", warm_start=str(tmp_path / "there"), behaviour="none", **twin)
+    assert again.margins.search.how.endswith(f", from the hits of {tmp_path / 'there'} on; 4 of 4 hits came again")
+    driven = [sum(one["candidates"] for one in each.margins.search.sources) for each in (there, again)]
+    assert 1.9 * driven[1] < driven[0]
+    assert again.margins.mean <= there.margins.mean + 1e-9
     here = assess("basic", scenario=str(file), objective="deviation", behaviour="none", **small)
     found, exact = np.concatenate(there.margins.per_phi), np.concatenate(here.margins.per_phi)
     assert not there.margins.exact

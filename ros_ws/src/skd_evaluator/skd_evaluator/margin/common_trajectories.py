@@ -127,7 +127,7 @@ def earlier_version(result: StoredResult, trials: Sequence[EpisodeSpec], runner:
             found += [] if hit is None else [prescribed(trial, whole_trajectory(hit))]
     if not found:
         raise UsageError(f"{result.folder}: has no margin on these φ with this seed, with which the search could begin")
-    logs = {log.episode.episode_id: log for log in runner.run(found)}
+    logs = {log.episode.episode_id: log for log in runner.run(found) if log.outcome != Outcome.ABORTED}
     return Earlier(logs, mean(margins) if len(margins) == len(trials) else None)
 
 

@@ -127,8 +127,12 @@ def minimal_deviations(
     if again < hits:
         said = f"answers differently to the same trajectories: of {hits} hits {again} came again"
         raise AssessmentError(f"controller {first.controller} {said}. It may draw only from the generator of reset")
-    how = f"from the hits of {earlier.folder} on" if earlier is not None else ""
-    return found.hits, replace(found.search, how=how)
+    return found.hits, replace(found.search, how=_from(earlier).lstrip(", "))
+
+
+def _from(earlier: StoredResult | None) -> str:
+    """Return with what a search began, in words."""
+    return "" if earlier is None else f", from the hits of {earlier.folder} on"
 
 
 def _effort(usual: Effort, limit: int) -> Effort:
@@ -155,9 +159,11 @@ def _by_whole_episodes(
     Raises:
         AssessmentError: the car fails, or more episodes were aborted than may be.
     """
-    held = context.holds_commands
+    held, earlier = context.holds_commands, context.earlier
     effort = _effort(HELD_COMMANDS if held else WHOLE_EPISODES, context.margin_limit)
-    found = search_margins(episodes, logs, by_episodes(runner, context.progress), effort)
+    before = None if earlier is None else earlier_version(earlier, episodes, runner)
+    effort = effort if before is None else effort._replace(first=min(WARM_START.first, effort.limit))
+    found = search_margins(episodes, logs, by_episodes(runner, context.progress), effort, before)
     warnings = []
     best = confirmed(episodes, found, runner, math.inf if held else SAME)
     hits, again = (sum(one is not None for one in some) for some in (found.hits, best))
@@ -172,7 +178,7 @@ def _by_whole_episodes(
     came = f"{again} of {hits} hits came again" if hits else "none hit"
     if held and again < hits:
         came += f", the others count as {plan.scenario.eta_max:g} m"
-    how = f"by up to {found.search.budget} whole episodes a trial; {came}"
+    how = f"by up to {found.search.budget} whole episodes a trial{_from(earlier)}; {came}"
     return (
         (best if held else found.hits),
         replace(found.search, how=how, converged=found.search.converged and not held),
