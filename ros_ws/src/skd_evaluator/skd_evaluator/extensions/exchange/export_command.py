@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from skd_sim.errors import UsageError
+
 from skd_evaluator.cli.arguments import (
     add_count,
     add_flag,
