@@ -187,7 +187,7 @@ def test_every_array_and_code_is_described(results):
     table = FILES[FILES.index("## episodes.npz") : FILES.index("## surrogate_measures.csv")]
     arrays = np.load(results / "episodes.npz")
     assert not set(arrays) - set(re.findall(r"`(\w+)`", table))
-    for rows in re.findall(r"^\*\*For each .*?\n\n.*?\n\n(.*?)\n\n", table, re.MULTILINE | re.DOTALL):
+    for rows in re.findall(r"^\*\*For each [^|]*\| array .*?\n.*?\n(.*?)\n\n", table, re.MULTILINE | re.DOTALL):
         named = re.findall(r"`(\w+)`", "".join(line.split(" | ")[0] for line in rows.splitlines()))
         lengths = {name: len(arrays[name]) for name in named if name in arrays}
         assert len(lengths) > 3, named
