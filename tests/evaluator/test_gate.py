@@ -125,7 +125,7 @@ def test_an_upper_bound_shows_no_least(result, name):
     bound = {**result, name: 0.8, "margin_converged": False, "margin_budget": 16}
     (passed,) = check_limits(bound, [Limit(name, 0.5)])
     assert (passed.failed, passed.error) == (False, True)
-    assert "had not converged at 16 candidates a trial, so this is an upper bound" in passed.text
+    assert "had not converged at 16 candidates a trial, so this is an upper bound" in passed.remarks[0]
     (failed,) = check_limits(bound, [Limit(name, 0.9)])
     assert (failed.failed, failed.error) == (True, False)
     (most,) = check_limits(bound, [Limit(name, 0.9, is_least=False)])
@@ -137,7 +137,7 @@ def test_an_upper_bound_shows_no_least(result, name):
 
 CHECKS = [
     Check("assessment", "1 aborted: \x1b[31mno answer"),
-    Check("a < b & c", "said | \"quoted\" <script>", failed=True),
+    Check("a < b & c", "said | \"quoted\" <script>", failed=True, remarks=("b is at most 3", "so it is")),
     Check("not worse", "not compared\x00", error=True),
 ]  # fmt: skip
 
@@ -153,6 +153,7 @@ def test_junit_tells_failures_of_the_car_from_errors(result):
     assert [case.attrib["name"] for case in cases] == [one.name for one in CHECKS]
     assert cases[1][0].attrib["message"] == CHECKS[1].text
     assert "�" in cases[2][0].text
+    assert cases[1][0].text.splitlines() == [CHECKS[1].text, *CHECKS[1].remarks]
     assert float(suite.attrib["time"]) == pytest.approx(result["seconds"], abs=1e-3)
     lost = ElementTree.fromstring(junit_xml(None, [Check("assessment", "it died", error=True)], car="x:Y").encode())
     assert lost.attrib["errors"] == "1"

@@ -29,7 +29,7 @@ def test_it_gives_what_the_command_gives(tmp_path):
 
 
 def test_wrong_options_are_refused_in_one_line(tmp_path):
-    with pytest.raises(UsageError, match=r"assess: unknown key kamikaze_cuont; .*; did you mean 'kamikaze_count'"):
+    with pytest.raises(UsageError, match=r"assess: unknown key kamikaze_cuont; did you mean 'kamikaze_count'"):
         assess("basic", kamikaze_cuont=3)
     with pytest.raises(UsageError, match="safe_count"):
         assess("basic", safe_count="many")

@@ -64,6 +64,7 @@ def test_quiet_prints_nothing_and_verbose_where_an_error_comes_from(skd_here, he
     [
         (["asess"], "assess"),
         (["assess", "--multiplyer=1"], "--multiplier"),
+        (["assess", "--kamikaze", "3"], "--kamikaze-count"),
         (["assess", "--controller", "bassic"], "basic"),
         (["assess", "--controller", "Carla"], "carla"),
         (["assess", "--scenario", "crosing"], "crossing"),

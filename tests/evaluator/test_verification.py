@@ -119,6 +119,8 @@ def test_verify_reads_sweeps_and_says_what_is_none(sweep: Path, result: Path, sk
     (here / "nothing").mkdir()
     one_line(skd_here("verify", "nothing"), 2, "holds no assessment.json")
     one_line(skd_here("verify", "nowhere"), 2, "no such folder")
+    for command in ("verify", "report", "compare", "list"):
+        one_line(skd_here(command, __file__), 2, "is a file; give the folder of a result")
     (result / "assessment.json").unlink()
     (result / MANIFEST).write_text(f"{'0' * 64}  assessment.json\n")
     gone = verify(result)

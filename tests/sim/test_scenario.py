@@ -148,8 +148,7 @@ def test_a_slip_of_the_pen_is_named_with_what_was_meant(place: str) -> None:
     slip = f"{key}{key[-1]}"
     data = changed({place: LEFT_OUT, f"{section}{dot}{slip}": 1.0}, listed(FULL))
     said = message(data)
-    assert said.startswith(f"unknown key {section}{dot}{slip}; allowed: ")
-    assert said.endswith(f"; did you mean {key!r}?")
+    assert said == f"unknown key {section}{dot}{slip}; did you mean {key!r}?"
 
 
 MISTAKES: list[tuple[dict[str, Any], str]] = [
@@ -174,7 +173,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"adversary.destination_x": LEFT_OUT}, "missing key adversary.destination_x (or a section ending with arrived)"),
     ({"ending": {"arrived": {"right_of": 2.0}}}, "adversary.destination_x and ending.arrived both say where"),
     ({"ending": {"missed": {"east_of": 2.0}}},
-     "unknown key ending.missed.east_of; allowed: right_of, left_of, ahead_of, "),
+     "unknown key ending.missed.east_of; did you mean"),
     # of roads
     ({"road.parts": [{"length": 8.0, "radius": 8.0}]}, "road.parts[0]: has a radius and no turn; a curve needs both"),
     ({"road.parts": [CURVE | {"length": 26.0}]},
@@ -260,7 +259,7 @@ def test_files_build_upon_files_beside_them(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("extends: a.yaml\n", "leads back to"),
-        ("extends: nowhere\n", "not a readable file"),
+        ("extends: nowhere\n", "neither a file nor a known name"),
         ("extends: 3\n", "extends must be the name or the path"),
         ("extends: cpna-33\n", "its impact places are 0, 10, 25, 50, 75, 90, 100 %"),
         ("extends: crossing-50\n", "it has no impact places"),

@@ -35,6 +35,17 @@ def tails(folders: Sequence[Path]) -> list[str]:
     return [str(Path(*one[-count:])) for one in parts]
 
 
+def check_folder(path: Path) -> None:
+    """Refuse what is no folder, in which results would be looked for.
+
+    Raises:
+        UsageError: it is a file, or is not there.
+    """
+    if not path.is_dir():
+        said = "is a file; give the folder of a result" if path.exists() else "there is no such folder"
+        raise UsageError(f"{path}: {said}")
+
+
 def check_file(path: Path, option: str, *, overwrite: bool = True) -> None:
     """Refuse, before any work, what `write_file` would not replace.
 

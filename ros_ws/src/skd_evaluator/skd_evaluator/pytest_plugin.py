@@ -137,9 +137,9 @@ class Assessed:
 
         check = check_not_worse(self.folder, read_result(Path(earlier).expanduser()))
         if check.error:
-            raise AssessmentError(f"{check.name}: {check.text}")
-        if "; " in check.text:  # more than the verdict and its interval
-            warnings.warn(f"{check.name}: {check.text}", stacklevel=2)
+            raise AssessmentError("; ".join((f"{check.name}: {check.text}", *check.remarks)))
+        if check.remarks:
+            warnings.warn(f"{check.name}: {'; '.join(check.remarks)}", stacklevel=2)
         return check.failed
 
 

@@ -177,10 +177,11 @@ def limit_failures(limits: Sequence[Limit], results: Mapping[str, Mapping[str, A
     from skd_evaluator.assessment.compare.gate import check_limits
 
     return [
-        f"gate: {name}: {one.name}: {'error' if one.error else 'failed'}, {one.text}"
+        f"gate: {line}"
         for name, result in results.items()
         for one in check_limits(result, limits)
         if not one.passed
+        for line in (f"{name}: {one.name}: {one.state}, {one.text}", *one.remarks)
     ]
 
 

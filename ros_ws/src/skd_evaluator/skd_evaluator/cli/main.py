@@ -37,10 +37,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
-    name, verbose = "skd", False
+    name, verbose = " ".join(["skd", *words[:1]]), False
     try:
         arguments = _parsed(words)
-        name = f"skd {arguments.command}"
         arguments.command_line = ["skd", *words]
         begin_command()
         verbose = getattr(arguments, "verbose", False)

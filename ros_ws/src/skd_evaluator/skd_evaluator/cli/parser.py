@@ -33,6 +33,10 @@ class Parser(argparse.ArgumentParser):
 
     everything = False
 
+    def __init__(self, **rest: Any) -> None:
+        """Make a parser that takes no option by its beginning alone: a later version may have two of them."""
+        super().__init__(**{**rest, "allow_abbrev": False})
+
     def error(self, message: str) -> NoReturn:
         """Leave with the message."""
         self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
@@ -56,7 +60,8 @@ class Parser(argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
-            error.message += did_you_mean(str(value), map(str, action.choices or ()))
+            if near := did_you_mean(str(value), map(str, action.choices or ())):
+                error.message = f"invalid choice: {value!r}{near}"
             raise
 
 

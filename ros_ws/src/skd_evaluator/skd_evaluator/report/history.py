@@ -19,6 +19,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.files.results import StoredResult, assessments_below
+from skd_evaluator.files import check_folder
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.provenance import code_of_car
@@ -108,8 +109,7 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
     found: dict[Path, Run] = {}
     unread: list[Run] = []
     for folder in folders:
-        if not folder.is_dir():
-            raise UsageError(f"{folder}: there is no such folder")
+        check_folder(folder)
         for place in assessments_below(folder, lambda path, why: unread.append(Run(path, {}, why))):
             found.setdefault(real_path(place), read_run(place))
     found.update((one.folder, one) for one in unread)

@@ -38,8 +38,8 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
         lines.append(f"| {label} | {value} | {BARE.by_phi(figure, result)} | {BARE.independent(figure, result)} |")
     lines += ["", "| condition | | found |", "|---|---|---|"]
     for one in checks:
-        state = "passed" if one.passed else "error" if one.error else "failed"
-        lines.append(f"| {_cell(one.name)} | {_MARKS[state]} {state} | {_cell(one.text)} |")
+        said = "; ".join((one.text, *one.remarks))
+        lines.append(f"| {_cell(one.name)} | {_MARKS[one.state]} {one.state} | {_cell(said)} |")
     warnings = dict.fromkeys([*figure_warnings(result), *result["warnings"]])
     lines += ["", *(f"* {_cell(line)}" for line in warnings)]
     return "\n".join([*lines, _origin(result)]).rstrip() + "\n"
@@ -87,11 +87,12 @@ def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car:
     for number, one in enumerate(checks):
         case = {"classname": f"skd.{name}", "name": _plain(one.name), "time": "0" if number else seconds}
         element = ElementTree.SubElement(suite, "testcase", case)
+        text = _plain("\n".join((one.text, *one.remarks)))
         if one.passed:
-            ElementTree.SubElement(element, "system-out").text = _plain(one.text)
+            ElementTree.SubElement(element, "system-out").text = text
         else:
             kind = "error" if one.error else "failure"
-            ElementTree.SubElement(element, kind, {"message": _plain(one.text), "type": kind}).text = _plain(one.text)
+            ElementTree.SubElement(element, kind, {"message": _plain(one.text), "type": kind}).text = text
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=False).join(
         ('<?xml version="1.0" encoding="UTF-8"?>\n', "\n")

@@ -68,7 +68,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
             figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _number(found["interval"])]
             figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
-        verdict = f"[bold]{_short(entry)}[/]{_disagreement(entry['differences'])}"
+        verdict = ": ".join(filter(None, (f"[bold]{_short(entry)}[/]", entry["reason"])))
         cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
     return narrow_table(f"Compared with {escape(first)}; all intervals together hold with 95 %", heads, cells)
 
@@ -81,17 +81,6 @@ def _short(entry: Mapping[str, Any]) -> str:
     said = verdict.partition(" at the price")[0].partition(",")[0]
     later = entry["price"]["difference"]
     return f"{said}, {abs(later):.1f} s {'slower' if later > 0.0 else 'quicker'}"
-
-
-def _disagreement(differences: Mapping[str, Any]) -> str:
-    """Return in words that margin and risk say the opposite of each other, both for sure."""
-    signs = {}
-    for key, found in differences.items():
-        if (key == "margin" or key.startswith("risk_")) and (ends := found["interval"]) is not None:
-            sign = (ends[0] > 0.0) - (ends[1] < 0.0)
-            signs[key] = sign if key == "margin" else -sign
-    opposed = signs.pop("margin", 0) * -1
-    return ": margin and risk disagree" if opposed and opposed in signs.values() else ""
 
 
 _TELLING = ("margin", "deviation", "skd", "nominal_collision_rate")

@@ -59,8 +59,8 @@ def _found(result: Mapping[str, Any], car: str) -> str:
     bound = "" if result["margin_converged"] else "at most "
     interval = result["margin_ci95"]
     around = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{formats.counted(trials, 'trial')}, "
-    found += f"{_trajectories(result)}."
+    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{formats.counted(trials, 'trial')} "
+    found += f"on {_trajectories(result)}."
     if beyond:
         found += f" No hit found in {beyond} of {trials}: each counts as {most}."
     if bound:
@@ -71,7 +71,7 @@ def _found(result: Mapping[str, Any], car: str) -> str:
 def _trajectories(result: Mapping[str, Any]) -> str:
     """Return how many nominal trajectories there are, and how many of them are distinct if not all are."""
     count, distinct = len(result["per_safe_trajectory"]), result["distinct_safe_trajectories"]
-    return f"{formats.counted(count, 'trajectory')}" + ("" if distinct == count else f" ({distinct} distinct)")
+    return formats.counted(count, "trajectory") + ("" if distinct == count else f", {distinct} of them different")
 
 
 _HEADLINE = ("margin", "nominal_collision_rate", "impact_speed", "risk_1", "time_lost")
@@ -86,7 +86,7 @@ def headline_table(result: Mapping[str, Any]) -> Table:
             continue
         unit = "" if figure.kind.unit in ("", "%") else f" {figure.kind.unit}"
         intervals = (formats.TERMINAL.by_phi(figure, result), formats.TERMINAL.independent(figure, result))
-        interval = next((one for one in intervals if one != formats.TERMINAL.nothing), formats.ninety(figure, result))
+        interval = next((one for one in intervals if one != formats.TERMINAL.nothing), "")
         table.add_row(f"{figure.label}{_beside(key, result)}  ", f"[bold]{value}{unit}[/]  ", escape(interval))
     return table
 
@@ -109,6 +109,8 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
         return f", {formats.counted(result['collision_runs'], 'run')}"
     if key == "time_lost" and result["deadlock"]:
         return f", [red]{_percent(result['deadlock'])} never pass[/]"
+    if key == "impact_speed":
+        return f", {formats.ninety(AT_THE_TOP[key], result)} m/s"
     return ", ordinary walkers" if key == "risk_1" else ""
 
 

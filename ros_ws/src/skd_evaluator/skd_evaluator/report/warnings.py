@@ -73,7 +73,7 @@ def _of_margin(result: Result) -> Iterator[str]:
         return
     trials, beyond, close = result["margin_trials"], result["margin_beyond"], result["optimality_gap"]
     if not result["margin_converged"]:
-        yield f"the search for the margin {stopped_at(result)}: the margin may be less; give a greater --margin-limit"
+        yield f"the search for the margin {stopped_at(result)}: the margin may be less; give a larger --margin-limit"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
         yield f"{PLANNED} {close:.2f} times the margin: judge the car by its margin, not by planned deviation or SKD"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)

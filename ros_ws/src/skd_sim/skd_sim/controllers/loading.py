@@ -9,6 +9,7 @@ import inspect
 import math
 import os
 import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -25,7 +26,7 @@ from skd_sim.controllers.protocol import (
     takes_scene,
 )
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
-from skd_sim.inputs.files import did_you_mean
+from skd_sim.inputs.files import near_or_all
 from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
@@ -33,7 +34,7 @@ from skd_sim.options.registry import load, place_of, reason_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, steering_angle, wheels
 from skd_sim.world.sensors import Scan
-from skd_sim.world.state import AdversaryState, CarState, FloatArray, RoadUserState, Scene
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, Scene
 
 _Result = TypeVar("_Result")
 
@@ -49,8 +50,9 @@ def failed(whose: str, method: str, error: BaseException, code: object = None) -
     """
     folder = "" if code is None else str(Path(_file_of(type(code))).parent)
     has = ""
-    if isinstance(error, AttributeError) and isinstance(state := error.obj, (CarState, RoadUserState, Scene)):
-        has = f"; it has {', '.join(state._fields)}"
+    if isinstance(error, AttributeError) and type(error.obj).__module__.startswith("skd_sim."):
+        names = getattr(error.obj, "_fields", [one for one in dir(error.obj) if not one.startswith("_")])
+        has = near_or_all(str(error.name), names, "it has")
     return AssessmentError(f"{whose}: {method} failed with {reason_of(error)}{has}{place_of(error, folder)}")
 
 
@@ -229,11 +231,15 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     """
     car = CarUnderTest(name, multiplier)
     if car.is_external or not car.exists:
-        known = CONTROLLERS.names()
-        raise UsageError(
-            f"unknown controller {name!r}; give {', '.join(known)}, or file.py:Class or package.module:Class for "
-            f"your own{did_you_mean(name, (*known, EXTERNAL))}"
-        )
+        file = Path(name.rstrip(":"))
+        if file.suffix == ".py" and not file.is_file():
+            raise UsageError(f"{file}: there is no such file")
+        if file.suffix == ".py":
+            classes = re.findall(r"^class (\w+)", file.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
+            has = ", ".join(classes) or "none"
+            raise UsageError(f"controller {file.name}: name a class, as {file.name}:Class; it has {has}")
+        own = "; yours is file.py:Class or package.module:Class"
+        raise UsageError(f"unknown controller {name!r}{near_or_all(name, (*CONTROLLERS, EXTERNAL), 'known are')}{own}")
     what = f"controller {car.short_controller}"
     target = CONTROLLERS.target(name) if name in CONTROLLERS else car.controller
     if car.is_own:

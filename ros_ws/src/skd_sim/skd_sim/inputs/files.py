@@ -244,3 +244,9 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return `; did you mean 'x'?` with the known name that is nearest; empty where none is near."""
     near = nearest(name, known)
     return "" if near is None else f"; did you mean {near!r}?"
+
+
+def near_or_all(name: str, known: Iterable[str], word: str) -> str:
+    """Return `did_you_mean`, or where nothing is near all that is known, after a word."""
+    names = list(known)
+    return did_you_mean(name, names) or f"; {word} {', '.join(names)}"

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, StrictBool, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean
+from skd_sim.inputs.files import did_you_mean, near_or_all
 from skd_sim.inputs.yaml_file import name_of_key, short
 
 Model = TypeVar("Model")
@@ -136,8 +136,7 @@ def _worded(error: ErrorDetails, schema: dict[str, Any], path: str) -> str:
         place = place[:-1] if place[-1] == "[key]" else place
         section = _node(schema, place[:-1])
         known = [*section.get("properties", section.get("propertyNames", {}).get("enum", ())), *section.get("also", ())]
-        near = did_you_mean(str(place[-1]), known)
-        return f"unknown key {_joined(path, place)}; allowed: {', '.join(known)}{near}"
+        return f"unknown key {_joined(path, place)}{near_or_all(str(place[-1]), known, 'allowed:')}"
     key = _joined(path, place)
     if kind == "missing" and not isinstance(place[-1], int):
         return f"missing key {key}"

@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean
+from skd_sim.inputs.files import did_you_mean, near_or_all
 from skd_sim.interruption import Interrupted
 
 if TYPE_CHECKING:
@@ -165,8 +165,7 @@ class Registry:
             return self.own[name]
         entries = _installed(self.group).get(name, ())
         if not entries:
-            known = self.names()
-            raise UsageError(f"unknown {self.what} {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}")
+            raise UsageError(f"unknown {self.what} {name!r}{near_or_all(name, self.names(), 'known are')}")
         if len(entries) > 1:
             where = " and ".join(entry.value for entry in entries)
             raise UsageError(f"{self.what} {name!r} is registered more than once: {where}; remove one of the packages")

@@ -146,6 +146,25 @@ class Comparison:
         return OTHER_STUCK if first and not second and leaning < 0 else ""
 
     @property
+    def reason(self) -> str:
+        """Why the verdict is withheld, in a few words; empty where it is not, or where nothing tells the cars apart."""
+        rows = (
+            (self.disagree, "margin and planned deviation disagree"),
+            (len(set(self._sure.values())) == 2, f"{'margin and risk' if MARGIN in self._sure else 'risks'} disagree"),
+            (self.bounded is not None, "a margin is an upper bound"),
+            (bool(self.opposed), f"{_labels(self.opposed)} points the other way"),
+            (self.harder * self.by_figures > 0.0, "its impacts are harder"),
+        )
+        return next((why for holds, why in rows if holds), "") if self.verdict == INCONCLUSIVE else ""
+
+    @property
+    def bounded(self) -> StoredResult | None:
+        """The car that would be the safer one, were its margin not an upper bound; None where there is no such."""
+        margin = self.differences[MARGIN].direction if self.judged_by == MARGIN else 0
+        held = (side > 0 for side in (margin, self.by_figures) if side and self.is_bound[side > 0])
+        return next(((self.first, self.second)[side] for side in held), None)
+
+    @property
     def is_bound(self) -> tuple[bool, bool]:
         """Whether the margin of the first and of the second car is but an upper bound."""
         first, second = (one.figures["margin_converged"] is False for one in (self.first, self.second))
@@ -220,6 +239,7 @@ class Comparison:
             "first": str(self.first.folder),
             "second": str(self.second.folder),
             "verdict": self.verdict,
+            "reason": self.reason,
             "judged_by": self.decided_by,
             "opposed_by": list(self.opposed),
             "design": self.design,
@@ -341,6 +361,8 @@ def _of_the_risks(held: Comparison) -> list[str]:
         said = f"better by {_labels(better)} and worse by {_labels(worse)}"
         disagree = "margin and risk disagree: " if MARGIN in (*better, *worse) else ""
         return [f"inconclusive: {disagree}{second} is {said} than {first}"]
+    if held.bounded is not None:
+        return []
     if held.opposed:
         sure, unsure = ("better", "worse") if better else ("worse", "better")
         said = f"{sure} than {first} by {_labels(better or worse)}, but its {_labels(held.opposed)} looks {unsure}"
@@ -372,17 +394,15 @@ def _of_the_judge(held: Comparison) -> list[str]:
     if MARGIN in held.differences:
         for one, is_bound in zip(both, held.is_bound, strict=True):
             if is_bound:
-                at_most = mean(np.concatenate(one.groups[MARGIN]))
-                found.append(
-                    f"the margin of {one.folder} is at most {at_most:.3f} m, for its search {stopped_at(one.figures)}: "
-                    "this car is not called the safer one (--margin-limit)"
-                )
+                said = f"the margin of {one.folder} is at most {mean(np.concatenate(one.groups[MARGIN])):.3f} m"
+                why = f"its search {stopped_at(one.figures)}"
+                if one is held.bounded and held.verdict == INCONCLUSIVE:
+                    said, why = f"inconclusive: {said}", "and may be the smaller one: give a larger --margin-limit"
+                found.append(f"{said}, {why}")
         if _unlike_budgets(*both):
-            budgets = (f"{one.figures['margin_budget']} candidates a trial in {one.folder}" for one in both)
-            found.append(
-                f"the margin's search drove {' and '.join(budgets)}: "
-                f"the interval allows {100 * CONVERGED_WITHIN:g} % for that"
-            )
+            budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
+            allowed = f"the interval allows {100 * CONVERGED_WITHIN:g} % for that"
+            found.append(f"the margins were searched with {budgets} candidates a trial: {allowed}")
         tracks = [one.figures["margin_how"] or "" for one in both]
         if tracks[0] != tracks[1]:
             said = " and ".join(track or "on the car itself, in process" for track in tracks)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from skd_evaluator.assessment.compare.comparison import MARGIN, NOT_COMPARED, RISKS, Comparison, compare
+from skd_evaluator.assessment.compare.comparison import LESS_SAFE, MARGIN, NOT_COMPARED, RISKS, Comparison, compare
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import at_worst
@@ -42,17 +42,24 @@ class Check:
         text: what was found, in one line.
         failed: whether the car does not meet the condition.
         error: whether nothing can be said of the car, because the condition could not be checked.
+        remarks: what a reader should know beside that, a line each.
     """
 
     name: str
     text: str
     failed: bool = False
     error: bool = False
+    remarks: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
         """Whether all is well."""
         return not (self.failed or self.error)
+
+    @property
+    def state(self) -> str:
+        """`passed`, `failed` or `error`."""
+        return "error" if self.error else "failed" if self.failed else "passed"
 
 
 def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Check]:
@@ -104,7 +111,7 @@ def _check_limit(result: Mapping[str, Any], limit: Limit) -> Check:
     text = f"{limit.name} is {value:.3g}, {side} {limit.value:g}"
     text = text if f"{value:.3g}" != f"{limit.value:.3g}" else f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
     if bound is not None and not beyond and not limit.is_kept_by(bound.beyond):
-        return Check(name, f"{text}; {bound.why}", error=True)
+        return Check(name, f"not judged: {text}, but only a bound", error=True, remarks=(bound.why,))
     return Check(name, text, failed=beyond)
 
 
@@ -130,21 +137,21 @@ def not_worse(mine: StoredResult, earlier: StoredResult, remarks: Iterable[str] 
     """
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, mine)
-    judge = found.behind_by or found.decided_by
-    lines = (*earlier.remarks, *remarks, *found.refusals, *found.warnings)
-    beside = "".join(f"; {line}" for line in dict.fromkeys(lines))
+    judge, failed = found.behind_by or found.decided_by, found.behind_by is not None
+    lines = tuple(dict.fromkeys((*earlier.remarks, *remarks, *found.refusals, *found.warnings)))
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
-        return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)
+        return Check(name, f"{NOT_COMPARED}{few}", error=True, remarks=lines)
     held = found.differences[judge]
     assert held.interval is not None
     low, high = held.interval
     by_how_much = f"{held.value:+.3f}" if judge in RISKS else f"{held.value:+.3f} m"
-    text = f"{found.verdict}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
-    failed = found.behind_by is not None
+    said = f"{found.verdict} ({found.reason})" if found.reason else found.verdict
+    said = said if not failed or said.startswith(LESS_SAFE) else "worse"
+    text = f"{said}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}"
     if not failed and (why := _at_most(found) or _may_be_behind(earlier, mine)):
-        return Check(name, f"not judged: {text}; {why}", error=True)
-    return Check(name, text, failed=failed)
+        return Check(name, f"not judged: {why}", error=True, remarks=(text, *lines))
+    return Check(name, text, failed=failed, remarks=lines)
 
 
 def _at_most(found: Comparison) -> str:

@@ -26,6 +26,7 @@ from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figu
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, write_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged, write_json
 from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.files import check_folder
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import Excess, Margins, Search
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
@@ -434,8 +435,7 @@ def result_folders(paths: Sequence[Path]) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for path in paths:
-        if not path.is_dir():
-            raise UsageError(f"{path}: there is no such folder")
+        check_folder(path)
         places = list(assessments_below(path, lambda _path, _why: None))
         if not places:
             raise UsageError(f"{path}: holds no {ASSESSMENT}, nor does a folder in it")

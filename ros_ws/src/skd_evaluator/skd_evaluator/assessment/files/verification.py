@@ -24,6 +24,7 @@ from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figu
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, failing_episodes, read_episodes
 from skd_evaluator.assessment.files.result_folder import CHANGED, GONE, MANIFEST, compared, read_manifest
 from skd_evaluator.assessment.files.results import assessment_from_file, differences
+from skd_evaluator.files import check_folder
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.behaviour.model import NAMES
 
@@ -70,8 +71,7 @@ def folders_below(folder: Path) -> list[Path]:
     Raises:
         UsageError: there is none, or a folder cannot be looked into.
     """
-    if not folder.is_dir():
-        raise UsageError(f"{folder}: no such folder; give that of a result")
+    check_folder(folder)
 
     def refuse(path: Path, why: str) -> None:
         raise UsageError(f"{path}: {why}")

@@ -355,7 +355,7 @@ class _KeptEpisodes:
             print_json({"interrupted": True, "episodes": self._store.count(), "resume": self._go_on()})
         kept = self._count()
         anew = "" if self._arguments.graph else "; margin, risk and price begin anew"
-        again = f"{kept}{anew}; go on with: {self._go_on()}" if kept else "nothing to keep yet"
+        again = f"{kept}{anew}; go on with: {self._go_on()}" if kept else "nothing was written"
         say(self._arguments.command, f"interrupted; {again}")
         return EXIT_INTERRUPTED
 

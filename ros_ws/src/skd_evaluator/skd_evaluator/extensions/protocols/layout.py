@@ -116,7 +116,7 @@ def headline(grid: Grid) -> str:
 def reasons(grid: Grid) -> list[str]:
     """Return why cells have no colour, no margin or only a bound of it, a line for each reason."""
     kinds: dict[str, Callable[[GridCell], bool]] = {
-        "the search for the margin has not converged, which is an upper bound: try a greater --margin-limit": (
+        "the search for the margin has not converged, which is an upper bound: try a larger --margin-limit": (
             lambda cell: not cell.converged
         ),
         "in some trials no hit was found within η_max, with which they count in the margin": (
