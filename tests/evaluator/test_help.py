@@ -65,7 +65,7 @@ def test_help_that_cannot_be_written_is_an_error_in_a_line(here, words):
         done = subprocess.run(
             [sys.executable, "-m", "skd_evaluator", *words], cwd=here, stdout=full, stderr=subprocess.PIPE, text=True
         )
-    one_line(done, 1, "skd: error", "No space left on device")
+    one_line(done, 1, ": error: ", "No space left on device")
 
 
 def test_every_command_explains_itself_in_few_options(capsys):

@@ -101,8 +101,8 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
         for row in figures["per_safe_trajectory"]:
             assert f"{row['deviation']:.3f}" in report.text
     lower, higher = sorted(subjects, key=lambda one: one.figures["margin"])
-    assert f"{higher.label} has the greatest margin" in report.text
-    assert f"{lower.label} the least (" in report.text
+    assert f"Greatest margin: {higher.label}, " in report.text
+    assert f"; least: {lower.label}, " in report.text
 
 
 def test_curves_are_told_apart_in_grey_and_begin_at_the_rate_of_the_table(report, subjects):

@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
-    name, verbose = " ".join(["skd", *words[:1]]), False
+    name, verbose = " ".join(["skd", *(word for word in words[:1] if word[:1] != "-")]), False
     try:
         arguments = _parsed(words)
         arguments.command_line = ["skd", *words]

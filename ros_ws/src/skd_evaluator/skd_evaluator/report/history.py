@@ -180,13 +180,19 @@ _number = TERMINAL.number
 
 
 def runs_table(runs: Sequence[Run]) -> Table:
-    """Return the table of assessments that could be read, a row each; those with a remark are marked."""
+    """Return the table of assessments that could be read, a row each; those with a remark are marked.
+
+    A scenario that all have stands in its title.
+    """
     parent = _common_parent([run.folder for run in runs])
+    title = f"Assessments in {escape(str(parent))}, as they are written"
+    scenarios = {run.scenario for run in runs}
+    several = len(scenarios) > 1
     rows = [
         (
             f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.warnings else ''}",
             escape(run.car),
-            escape(run.scenario),
+            *([escape(run.scenario)] if several else []),
             bounded_cell(run.figures, _number(run.figures["margin"])),
             _number(run.figures["margin_ci95"], 2),
             TERMINAL.share(run.figures["nominal_collision_rate"]),
@@ -196,8 +202,16 @@ def runs_table(runs: Sequence[Run]) -> Table:
         )
         for run in runs
     ]
-    heads = ("folder", "car", "scenario", "margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ")
-    title = f"Assessments in {escape(str(parent))}, as they are written"
+    heads = [
+        "folder",
+        "car",
+        *(["scenario"] if several else []),
+        "margin\n(m)",
+        "95 %,\nby φ",
+        "nominal\ncollisions",
+        "φ",
+    ]
+    title += "" if several else f"; scenario {escape(*scenarios)}"
     return narrow_table(title, (*heads, "code of\nthe car", "date\n(UTC)"), rows, whole=True)
 
 

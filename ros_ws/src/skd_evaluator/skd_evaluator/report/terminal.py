@@ -63,8 +63,6 @@ def _found(result: Mapping[str, Any], car: str) -> str:
     found += f"on {_trajectories(result)}."
     if beyond:
         found += f" No hit found in {beyond} of {trials}: each counts as {most}."
-    if bound:
-        found += " The search has not converged: give a larger --margin-limit."
     return found
 
 

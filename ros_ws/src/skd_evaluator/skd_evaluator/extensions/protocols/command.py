@@ -192,11 +192,10 @@ def _found(protocol: str, request: ProtocolRequest, grids: Sequence[Grid]) -> Pr
     from skd_evaluator.version import version
 
     plan, counts = request.plan, protocol == NCAP and with_calculator()
-    car = f"{plan.controller}, C = {plan.multiplier:g}" if plan.car.has_multiplier else plan.controller
     return ProtocolResult(
         protocol=protocol,
         skd=version(),
-        car=car,
+        car=plan.car.label,
         seed=plan.seed,
         trials=plan.kamikaze_count,
         margin_limit=request.margin_limit,

@@ -103,9 +103,9 @@ def headline(grid: Grid) -> str:
     if not coloured:
         return "No test has a colour."
     green = [cell for cell in coloured if cell.colour == GREEN]
-    said = (
-        f"{len(green)} of {counted(len(coloured), 'test')} {'is' if 1 in (len(green), len(coloured)) else 'are'} green"
-    )
+    are = "is green" if 1 in (len(green), len(coloured)) else "are green"
+    are = "passed" if any(cell.limit is not None for cell in coloured) else are
+    said = f"{len(green)} of {counted(len(coloured), 'test')} {are}"
     narrow = sorted((cell for cell in green if cell.is_narrow(ROOM)), key=lambda cell: cell.margin or 0.0)
     if narrow:
         where = f"the least is {margin_text(narrow[0])} m, at {cell_name(narrow[0])}"

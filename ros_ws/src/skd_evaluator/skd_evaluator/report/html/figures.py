@@ -102,26 +102,22 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
     name = AT_THE_TOP[key].label
     ordered = sorted(members, key=lambda one: float(one.figures[key]))
     passing = [one for one in ordered if not does_not_get_past(one.figures)]
-    ranked, which = (passing, " that get past people") if 1 < len(passing) < len(ordered) else (ordered, "")
+    ranked, which = (passing, " of cars that get past people") if 1 < len(passing) < len(ordered) else (ordered, "")
     last, first = ranked[-1], ranked[0]
     close = [
         f"{low.label} and {high.label}"
         for low, high in itertools.pairwise(ordered)
         if _overlap(low.figures[f"{key}_ci95"], high.figures[f"{key}_ci95"])
     ]
-    text = (
-        f"Of {formats.counted(len(ranked), 'assessment')} on the same φ{which}, {last.label} has the greatest {name} "
-        f"({_bounded(last, key)}) and {first.label} the least ({_bounded(first, key)})."
-    )
+    text = f"Greatest {name}{which}: {last.label}, {_bounded(last, key)}; least: {first.label}, {_bounded(first, key)}."
     if out := [one.label for one in members if does_not_get_past(one.figures)]:
-        text += f" Not called safer, for often stuck at harmless people: {', '.join(out)}."
+        text += f" Often stuck at harmless people: {', '.join(out)}."
     known = all(one.figures[f"{key}_ci95"] for one in members)
     if close and len(members) == 2:
-        text += f" Their intervals by φ {'overlap' if known else 'are not known'}; skd compare judges such pairs."
+        text += f" Their intervals by φ {'overlap' if known else 'are not known'}: skd compare tells more."
     elif close:
-        named = f": {'; '.join(close)}" if len(close) <= _FEW else ""
-        apart = "overlap" if known else "cannot be told apart"
-        text += f" {len(close)} of {len(members) - 1} neighbours {apart}{named}; skd compare judges such pairs."
+        named = "; ".join(close) if len(close) <= _FEW else f"{len(close)} pairs"
+        text += f" Intervals that {'overlap' if known else 'are not known'}: {named}. skd compare tells more."
     return text
 
 
