@@ -211,7 +211,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
         "nominal\ncollisions",
         "φ",
     ]
-    title += "" if several else f"; scenario {escape(*scenarios)}"
+    title += "" if several else f"; scenario {escape(runs[0].scenario)}"
     return narrow_table(title, (*heads, "code of\nthe car", "date\n(UTC)"), rows, whole=True)
 
 
