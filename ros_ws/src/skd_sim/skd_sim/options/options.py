@@ -176,8 +176,8 @@ class EpisodeOptions:
 
     controller: str = option(
         DEFAULT,
-        "the car under test. SKD has basic (the paper's simple car), cal, carla, metadrive_expert, and the published "
-        "drivers cc_driver, reg157, rss, fsm, aeb_berkeley, aeb_honda, aeb_mazda, idm, eidm, krauss, f1tenth, "
+        "the car under test. SKD has basic (the paper's simple car), cal, carla and metadrive_expert. Published "
+        "drivers are cc_driver, reg157, rss, fsm, aeb_berkeley, aeb_honda, aeb_mazda, idm, eidm, krauss, f1tenth, "
         "nav2_monitor, rl and rl_overtrained. Your own is "
         "file.py:Class, package.module:Class, a registered name, or external (a ROS node)",
         ControllerName,

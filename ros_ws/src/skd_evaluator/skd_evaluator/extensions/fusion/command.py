@@ -46,7 +46,7 @@ def add_fuse(parser: Parser) -> None:
     trajectories φ. Where simulated trials predict physical ones of the same φ, simulations of further φ make the
     intervals narrower. Else the physical trials stand alone (docs/proving_ground.md).
     """
-    parser.set_defaults(group="research")
+    parser.set_defaults(group="research", rare=True)
     text = "folder of an assessment, or a table of simulated trials. With --width also an earlier fusion"
     add_value(parser, "simulated", text, type=Path, metavar="SIMULATED")
     text = "table of physical trials, or the folder of its trials.csv (docs/proving_ground.md has the columns)"
