@@ -32,7 +32,7 @@ def add_benchmark(parser: Parser) -> None:
     """Rate 17 public controllers, and yours beside them, in frozen trials.
 
     Rate a league of public controllers, and cars of your own beside them, in trials that never change. The page that
-    it writes has margin, risk, price of caution and impact speed of each, and ranks with their uncertainty. Whoever
+    it writes has margin, risk, price of caution and impact speed of each, and ranks with their uncertainty. Anybody who
     runs it gets the same digests.
     """
     parser.set_defaults(group="rate")
