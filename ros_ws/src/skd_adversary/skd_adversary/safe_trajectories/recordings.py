@@ -27,15 +27,10 @@ _JITTER = 0.05
 """m that a sensor may be off from one row to the next: at many rows a second that is no speed."""
 
 
-class Table(NamedTuple):
-    """Rows of a csv file: values (rows × columns, in the requested order) and the line number of each row."""
+def read_table(path: Path, columns: Mapping[str, float]) -> tuple[FloatArray, IntArray]:
+    """Return numeric columns of a csv file with a header, rows × columns as requested, and the line of each row.
 
-    values: FloatArray
-    lines: IntArray
-
-
-def read_table(path: Path, columns: Mapping[str, float]) -> Table:
-    """Read numeric columns of a csv file with a header; other columns and blank lines are ignored.
+    Other columns and blank lines are ignored.
 
     Args:
         path: the file; UTF-8, with or without a byte-order mark.
@@ -45,13 +40,13 @@ def read_table(path: Path, columns: Mapping[str, float]) -> Table:
         UsageError: as `csv_rows`, or a value is out of range.
     """
     rows = list(csv_rows(path, tuple(columns)))
-    table = Table(np.array([row for _, _, row in rows], np.float64), np.array([line for line, _, _ in rows], np.int64))
-    table = table._replace(values=table.values.reshape(-1, len(columns)))
-    for row, place in np.argwhere(np.abs(table.values) > list(columns.values())).tolist():
+    values = np.array([row for _, _, row in rows], np.float64).reshape(-1, len(columns))
+    lines = np.array([line for line, _, _ in rows], np.int64)
+    for row, place in np.argwhere(np.abs(values) > list(columns.values())).tolist():
         name = list(columns)[place]
-        got = f"{name} must lie within ±{columns[name]:g}, got {table.values[row, place]:g}"
-        raise UsageError(f"{path}, line {table.lines[row]}: {got}")
-    return table
+        got = f"{name} must lie within ±{columns[name]:g}, got {values[row, place]:g}"
+        raise UsageError(f"{path}, line {lines[row]}: {got}")
+    return values, lines
 
 
 def header_of(path: Path) -> list[str]:
