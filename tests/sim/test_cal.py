@@ -106,7 +106,7 @@ def test_scans_are_needed():
 
 def test_it_decides_twenty_times_a_second():
     """Within a tick it begins to brake when the hazard is there, and not with the tick."""
-    assert CalController.control_period == CarUnderTest("cal").control_period == 0.05
+    assert CalController.control_period == CarUnderTest("cal").kind.control_period == 0.05
     assert CROSSING.control_periods == 6
     begins = set()
     for gap in np.arange(16.0, 20.0, 0.5):
