@@ -44,8 +44,7 @@ with Interruption() as interruption:
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("asked", ["getbuffer", "notify"])
+@pytest.mark.parametrize(("asked", "number"), [("getbuffer", signal.SIGTERM), ("notify", signal.SIGINT)])
 def test_a_signal_while_llvm_asks_for_code(tmp_path: Path, asked: str, number: int) -> None:
     """Code that is read from the cache is what LLVM gets no other way."""
     (tmp_path / "program.py").write_text(PROGRAM)
