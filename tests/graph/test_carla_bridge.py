@@ -29,16 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
-from skd_sim.ros.support import (
-    ACCELERATION_COMMAND,
-    ADVERSARY_ODOMETRY,
-    EGO_ODOMETRY,
-    EPISODE,
-    EPISODE_RESULT,
-    LATCHED,
-    STREAM,
-    VELOCITY_COMMAND,
-)
+from skd_sim.ros.support import LATCHED, STREAM, Topic
 from skd_sim.ros.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
 from skd_sim.ros_environment.installation import ensure_messages
 from skd_sim.ros_environment.variables import is_sourced
@@ -149,12 +140,12 @@ class Others(Node):
         self.result: Any = None
         self.cars: dict[int, Any] = {}
         self.adversaries: dict[int, AdversaryState] = {}
-        self.commands = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
-        self.walks = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
-        self.create_subscription(Odometry, EGO_ODOMETRY, self.on_car, STREAM)
-        self.create_subscription(Odometry, ADVERSARY_ODOMETRY, self.on_adversary, STREAM)
-        self.create_subscription(EpisodeResult, EPISODE_RESULT, self.on_result, STREAM)
-        self.episodes = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
+        self.commands = self.create_publisher(AccelStamped, Topic.ACCELERATION_COMMAND, STREAM)
+        self.walks = self.create_publisher(TwistStamped, Topic.VELOCITY_COMMAND, STREAM)
+        self.create_subscription(Odometry, Topic.EGO_ODOMETRY, self.on_car, STREAM)
+        self.create_subscription(Odometry, Topic.ADVERSARY_ODOMETRY, self.on_adversary, STREAM)
+        self.create_subscription(EpisodeResult, Topic.EPISODE_RESULT, self.on_result, STREAM)
+        self.episodes = self.create_publisher(EpisodeMsg, Topic.EPISODE, LATCHED)
         self.episodes.publish(episode_to_message(episode, "test", self.start))
 
     def on_car(self, message: Any) -> None:

@@ -29,7 +29,7 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.timing import NANOSECONDS
 
 RUNS, IDS = itertools.count(), itertools.count(1 << 20)
-_ANSWERS = (f"/{support.ACCELERATION_COMMAND}", f"/{support.VELOCITY_COMMAND}")
+_ANSWERS = (f"/{support.Topic.ACCELERATION_COMMAND}", f"/{support.Topic.VELOCITY_COMMAND}")
 Content = dict[str, set[tuple[int, str]]]
 """By topic the time (ns) and the text of each message of a bag."""
 
@@ -73,7 +73,7 @@ def run(evaluator: Any, bags: Path, episodes: list[EpisodeSpec], begin: int) -> 
             for connection, logged, data in reader.messages():
                 message = deserialize_message(data, message_class(connection.msgtype))
                 content[connection.topic].add((logged, timeless(message)))
-        ends = {time for time, _ in content[f"/{support.EPISODE_RESULT}"]}
+        ends = {time for time, _ in content[f"/{support.Topic.EPISODE_RESULT}"]}
         for topic in _ANSWERS:
             content[topic] = {one for one in content[topic] if one[0] not in ends}
         found.append((log, content))
@@ -161,7 +161,7 @@ def test_somebody_else_who_speaks(graph: Graph, episode: EpisodeSpec) -> None:
                 wait_until(lambda: evaluator.count_publishers(topic) == 1, topic)
             return log
 
-        for kind, topic in ((Odometry, support.EGO_ODOMETRY), (EpisodeMsg, support.EPISODE)):
+        for kind, topic in ((Odometry, support.Topic.EGO_ODOMETRY), (EpisodeMsg, support.Topic.EPISODE)):
             said = f"2 nodes publish /{topic}, one may: /evaluator and /somebody; end all but one"
             with pytest.raises(AssessmentError, match=said):
                 run_beside(kind, topic)

@@ -21,7 +21,7 @@ from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.visualization import episode_markers, recorded_figures
 from skd_sim.ros.commands import NAMED_FORMATS, message_class, number_paths
 from skd_sim.ros.simulator_node import VehicleSimulator
-from skd_sim.ros.support import CLEARANCE, DEVIATION
+from skd_sim.ros.support import Topic
 from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -127,10 +127,10 @@ def test_the_car_is_turned_as_it_is() -> None:
 
 def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
     """Clearance and deviation in a recording, m."""
-    found: dict[str, list[float]] = {CLEARANCE: [], DEVIATION: []}
+    found: dict[str, list[float]] = {Topic.CLEARANCE: [], Topic.DEVIATION: []}
     for topic, message, _ in recorded_figures(log, 10**9):
         found[topic].append(message.data)
-    return found[CLEARANCE], found[DEVIATION]
+    return found[Topic.CLEARANCE], found[Topic.DEVIATION]
 
 
 def test_figures_of_a_recording(expected: EpisodeLog, replay: EpisodeSpec) -> None:

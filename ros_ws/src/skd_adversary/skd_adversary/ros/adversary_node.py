@@ -13,16 +13,7 @@ from rclpy.node import Node
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.options.options import MAP_FRAME, option
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_car
-from skd_sim.ros.support import (
-    BELIEVED_CAR,
-    EGO_ODOMETRY,
-    STREAM,
-    VELOCITY_COMMAND,
-    EpisodeFollower,
-    GraphNode,
-    declare,
-    run_node,
-)
+from skd_sim.ros.support import STREAM, EpisodeFollower, GraphNode, Topic, declare, run_node
 from skd_sim.ros.to_messages import car_to_odometry, velocity_command
 from skd_sim.scenario.road import HEADING_NORTH, road_pose
 from skd_sim.world.episode import EpisodeSpec
@@ -58,8 +49,8 @@ class GraphAdversary:
         self._adversary: Adversary | None = None
         self._next_tick = 0
         self._answer: tuple[int, tuple[float, float]] | None = None
-        self._command = node.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
-        self._believed = node.create_publisher(Odometry, BELIEVED_CAR, STREAM)
+        self._command = node.create_publisher(TwistStamped, Topic.VELOCITY_COMMAND, STREAM)
+        self._believed = node.create_publisher(Odometry, Topic.BELIEVED_CAR, STREAM)
 
     def begin(self, episode: EpisodeSpec) -> None:
         """Take the next episode."""
@@ -110,7 +101,7 @@ class AdversaryNode(GraphNode):
             warm_up()
         self.adversary = GraphAdversary(self, make=make)
         self._follower = EpisodeFollower(self, message_to_episode, self._on_begin, self._on_frame)
-        self.create_subscription(Odometry, EGO_ODOMETRY, self._on_odometry, STREAM)
+        self.create_subscription(Odometry, Topic.EGO_ODOMETRY, self._on_odometry, STREAM)
 
     def _on_odometry(self, message: Odometry) -> None:
         self._follower.deliver(from_stamp(message.header.stamp), odometry_to_car(message))

@@ -169,10 +169,10 @@ _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while th
 _LOST = 10.0  # s: how long after an episode its last states may come, from the last message of all on
 _LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
 _OURS = (
-    support.EPISODE,
-    support.EPISODE_RESULT,
-    support.EGO_ODOMETRY,
-    support.ADVERSARY_ODOMETRY,
+    support.Topic.EPISODE,
+    support.Topic.EPISODE_RESULT,
+    support.Topic.EGO_ODOMETRY,
+    support.Topic.ADVERSARY_ODOMETRY,
 )  # topics on which one node publishes
 
 
@@ -204,9 +204,9 @@ class Evaluator(support.GraphNode):
         self._streams: list[Any] = []
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self)
-        self._episode_publisher = self.create_publisher(EpisodeMsg, support.EPISODE, support.LATCHED)
-        self._assessment_publisher = self.create_publisher(AssessmentMsg, support.ASSESSMENT, support.LATCHED)
-        self._marker_publisher = self.create_publisher(MarkerArray, support.MARKERS, support.LATCHED)
+        self._episode_publisher = self.create_publisher(EpisodeMsg, support.Topic.EPISODE, support.LATCHED)
+        self._assessment_publisher = self.create_publisher(AssessmentMsg, support.Topic.ASSESSMENT, support.LATCHED)
+        self._marker_publisher = self.create_publisher(MarkerArray, support.Topic.MARKERS, support.LATCHED)
         self._figures, self._health = LiveFigures(self), Health(self)
         self._composed: Composed | None = None
         if composed is not None:
@@ -255,9 +255,11 @@ class Evaluator(support.GraphNode):
         )
         self._own_world, self._anew = own_world, anew
         driven = car_commands(commands)
-        self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, support.VELOCITY_COMMAND))
+        self._drive_topic, walk_topic = map(
+            self.resolve_topic_name, (commands.command_topic, support.Topic.VELOCITY_COMMAND)
+        )
         if self._composed is None:
-            self._listen(support.EPISODE_RESULT, EpisodeResult, self._on_result)
+            self._listen(support.Topic.EPISODE_RESULT, EpisodeResult, self._on_result)
         self._first_commands = FirstCommands(
             self,
             Awaited(self._drive_topic, kind_name(driven.kind)),
@@ -266,16 +268,16 @@ class Evaluator(support.GraphNode):
             walk_topic=walk_topic if self._composed is None else "",
         )
         if self._composed is None or record_to is not None:
-            self._listen(support.EGO_ODOMETRY, Odometry, self._on_car)
-            self._listen(support.ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
+            self._listen(support.Topic.EGO_ODOMETRY, Odometry, self._on_car)
+            self._listen(support.Topic.ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
         if record_to is not None:
-            self._listen(support.CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
+            self._listen(support.Topic.CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
             self._listen(commands.command_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
-            self._listen(support.VELOCITY_COMMAND, TwistStamped)
-            self._listen(support.TF, TFMessage, stamp=_stamp_of_transforms)
-            self._listen(support.COMMAND, AccelStamped)
+            self._listen(support.Topic.VELOCITY_COMMAND, TwistStamped)
+            self._listen(support.Topic.TF, TFMessage, stamp=_stamp_of_transforms)
+            self._listen(support.Topic.COMMAND, AccelStamped)
             settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
-            drive, walk = (recorded_name(self, one) for one in (commands.command_topic, support.VELOCITY_COMMAND))
+            drive, walk = (recorded_name(self, one) for one in (commands.command_topic, support.Topic.VELOCITY_COMMAND))
             self._recorder = BagRecorder(self, record_to, drive, walk, own_world=own_world, patience=settle, say=say)
 
     def _warn(self, line: str) -> None:
@@ -297,7 +299,7 @@ class Evaluator(support.GraphNode):
         name = recorded_name(self, topic)
 
         def on_bytes(data: bytes) -> None:
-            if topic != support.TF:  # a stack sends transforms too, whether or not the simulator goes on
+            if topic != support.Topic.TF:  # a stack sends transforms too, whether or not the simulator goes on
                 self._heard = time.monotonic()
             message = deserialize_message(data, kind)
             if self._recorder is not None:
@@ -328,9 +330,9 @@ class Evaluator(support.GraphNode):
         except UsageError as error:
             self._require_alone()
             whose, topic = (
-                ("car", support.EGO_ODOMETRY)
+                ("car", support.Topic.EGO_ODOMETRY)
                 if isinstance(state, CarState)
-                else ("adversary", support.ADVERSARY_ODOMETRY)
+                else ("adversary", support.Topic.ADVERSARY_ODOMETRY)
             )
             where = f"{(stamp - self._key.start) / NANOSECONDS:.3f} s of the episode"
             who = f"another node has published {self.resolve_topic_name(topic)}, or the simulator contradicts itself"
@@ -348,7 +350,7 @@ class Evaluator(support.GraphNode):
                 self._result = result, from_stamp(message.header.stamp)
                 self._ended = time.monotonic()
                 if self._composed is not None and self._recorder is not None:
-                    name, data = recorded_name(self, support.EPISODE_RESULT), serialize_message(message)
+                    name, data = recorded_name(self, support.Topic.EPISODE_RESULT), serialize_message(message)
                     self._recorder.keep(name, EpisodeResult, self._result[1], data)
 
     def watch(self, show: Show, commands: CommandOptions) -> None:

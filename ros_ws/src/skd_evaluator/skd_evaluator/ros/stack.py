@@ -24,7 +24,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from skd_sim.ros.diagnosis import Awaited, Evidence, Heard, class_of, diagnose, living_publishers
-from skd_sim.ros.support import DIAGNOSTICS, EGO_ODOMETRY
+from skd_sim.ros.support import Topic
 from skd_sim.world.episode import AbortKind, abort_reason
 
 from skd_evaluator.errors import AssessmentError
@@ -238,7 +238,7 @@ class FirstCommands:
             if self._walk_topic and not self._node.count_publishers(self._walk_topic):
                 waits.append((self._walk_topic, "", f"no node publishes on {self._walk_topic}"))
         else:
-            topic = self._node.resolve_topic_name(EGO_ODOMETRY)
+            topic = self._node.resolve_topic_name(Topic.EGO_ODOMETRY)
             publishers = living_publishers(self._node, topic)
             why = f"{publishers[0].name} is there and says nothing" if publishers else f"no node publishes on {topic}"
             waits.append((topic, "", f"{why}: vehicle_simulator is to publish it"))
@@ -275,7 +275,7 @@ class Health:
     def __init__(self, node: Node) -> None:
         """Make the topic; `node` publishes on it."""
         self._node, self._latest = node, 0.0
-        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._publisher = node.create_publisher(DiagnosticArray, Topic.DIAGNOSTICS, 10)
 
     def publish(self, reasons: Sequence[str], values: Mapping[str, object]) -> None:
         """Publish, unless it is less than a second ago.

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from skd_sim.options.options import MAP_FRAME, CommandOptions
 from skd_sim.ros.commands import Quantity, angle_of_yaw_rate, car_commands
 from skd_sim.ros.state_publisher import CAR_HEIGHT
-from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM, Moments
+from skd_sim.ros.support import STREAM, Moments, Topic
 from skd_sim.ros.to_messages import to_orientation, to_stamp
 from skd_sim.scenario.road import Road
 from skd_sim.scenario.road_user import Body, height_of
@@ -142,8 +142,8 @@ class LiveFigures:
     def __init__(self, node: Node) -> None:
         """Make the topics; `node` publishes on them."""
         self._node, self._unit = node, _UNITS[Quantity.ACCELERATION]
-        self._clearance = node.create_publisher(Float64, CLEARANCE, STREAM)
-        self._deviation = node.create_publisher(Float64, DEVIATION, STREAM)
+        self._clearance = node.create_publisher(Float64, Topic.CLEARANCE, STREAM)
+        self._deviation = node.create_publisher(Float64, Topic.DEVIATION, STREAM)
         self._onlooker: Onlooker | None = None
         self._show: Show | None = None
         self._yaws = False
@@ -218,11 +218,13 @@ def recorded_figures(log: EpisodeLog, start: int) -> Iterator[tuple[str, Float64
     if len(log.car) > 1 and np.isfinite(log.car).all():
         ended = (log.impact_time, log.impact_speed) if contact else None
         course = course_of(scenario, log.adversary, log.car, ended)
-        values[CLEARANCE] = clearances(scene_of(scenario, *course)).tolist()
+        values[Topic.CLEARANCE] = clearances(scene_of(scenario, *course)).tolist()
     if safe is not None:
         ticks = [*map(float, range(len(psi)))]
         ticks[-1] = log.impact_time / scenario.time_step if contact else ticks[-1]
-        values[DEVIATION] = [deviation(safe.positions, psi[: count + 1], tick) for count, tick in enumerate(ticks)]
+        values[Topic.DEVIATION] = [
+            deviation(safe.positions, psi[: count + 1], tick) for count, tick in enumerate(ticks)
+        ]
     for topic, figures in values.items():
         for tick, value in enumerate(figures):
             yield topic, Float64(data=value), tick_stamp(start, tick, scenario.time_step)

@@ -25,18 +25,7 @@ from skd_sim.ros.from_messages import (
     odometry_to_adversary,
     odometry_to_car,
 )
-from skd_sim.ros.support import (
-    ACCELERATION_COMMAND,
-    ADVERSARY_ODOMETRY,
-    EGO_ODOMETRY,
-    EGO_SCAN,
-    STREAM,
-    EpisodeFollower,
-    GraphNode,
-    Moments,
-    declare,
-    run_node,
-)
+from skd_sim.ros.support import STREAM, EpisodeFollower, GraphNode, Moments, Topic, declare, run_node
 from skd_sim.ros.to_messages import acceleration_command
 
 
@@ -67,14 +56,16 @@ class CarController(GraphNode):
         if self._settings["controller"]:
             make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
         self._controller: Controller | None = None
-        self._moments = Moments(EGO_ODOMETRY, ADVERSARY_ODOMETRY)
+        self._moments = Moments(Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY)
         self._scans: Any = None  # subscription, while the controller senses
         self._answered: dict[int, AccelStamped] = {}
-        self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
+        self._command = self.create_publisher(AccelStamped, Topic.ACCELERATION_COMMAND, STREAM)
         self._follower = EpisodeFollower(self, message_to_car_episode, self._on_begin, self._on_frame)
-        self.create_subscription(Odometry, EGO_ODOMETRY, partial(self._hear, EGO_ODOMETRY, odometry_to_car), STREAM)
-        of_adversary = partial(self._hear, ADVERSARY_ODOMETRY, odometry_to_adversary)
-        self.create_subscription(Odometry, ADVERSARY_ODOMETRY, of_adversary, STREAM)
+        self.create_subscription(
+            Odometry, Topic.EGO_ODOMETRY, partial(self._hear, Topic.EGO_ODOMETRY, odometry_to_car), STREAM
+        )
+        of_adversary = partial(self._hear, Topic.ADVERSARY_ODOMETRY, odometry_to_adversary)
+        self.create_subscription(Odometry, Topic.ADVERSARY_ODOMETRY, of_adversary, STREAM)
 
     def _on_begin(self, episode: CarEpisode) -> None:
         name = self._settings["controller"] or episode.controller
@@ -92,10 +83,10 @@ class CarController(GraphNode):
 
     def _listen_to_scans(self, *, senses: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless a node listens."""
-        self._moments.needed = {EGO_ODOMETRY, ADVERSARY_ODOMETRY} | ({EGO_SCAN} if senses else set())
+        self._moments.needed = {Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY} | ({Topic.EGO_SCAN} if senses else set())
         if senses and self._scans is None:
-            of_laser = partial(self._hear, EGO_SCAN, message_to_scan)
-            self._scans = self.create_subscription(LaserScan, EGO_SCAN, of_laser, STREAM)
+            of_laser = partial(self._hear, Topic.EGO_SCAN, message_to_scan)
+            self._scans = self.create_subscription(LaserScan, Topic.EGO_SCAN, of_laser, STREAM)
         elif not senses and self._scans is not None:
             self.destroy_subscription(self._scans)
             self._scans = None
@@ -110,10 +101,10 @@ class CarController(GraphNode):
         if stamp not in self._answered:
             assert self._controller is not None
             if isinstance(self._controller, SensingController):
-                if EGO_SCAN not in seen:
+                if Topic.EGO_SCAN not in seen:
                     return  # tick 0 of the first episode, before the subscription was there: it will be repeated
-                self._controller.sense(seen[EGO_SCAN])
-            car, adversary = seen[EGO_ODOMETRY], seen[ADVERSARY_ODOMETRY]
+                self._controller.sense(seen[Topic.EGO_SCAN])
+            car, adversary = seen[Topic.EGO_ODOMETRY], seen[Topic.ADVERSARY_ODOMETRY]
             try:
                 command = self._controller.command(car, self._sight(car, adversary, tick, period))
             except NoNumberError as error:

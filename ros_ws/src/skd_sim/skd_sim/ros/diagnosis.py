@@ -21,19 +21,7 @@ from skd_sim.errors import UsageError
 from skd_sim.ros.commands import NAMED_FORMATS, message_class, number_paths
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.ros.lockstep import LEAD
-from skd_sim.ros.support import (
-    ADVERSARY_DETECTIONS,
-    ADVERSARY_ODOMETRY,
-    CLOCK,
-    EGO_IMU,
-    EGO_ODOMETRY,
-    EGO_POINTS,
-    EGO_SCAN,
-    EPISODE,
-    STREAM,
-    TF,
-    VELOCITY_COMMAND,
-)
+from skd_sim.ros.support import STREAM, Topic
 from skd_sim.world.timing import WALL_CLOCK, stamp_fault
 
 _FAST_DDS = (1, 15)  # vendor id of eProsima, with which its GUIDs begin
@@ -130,7 +118,15 @@ def kind_name(kind: type) -> str:
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
-_STATES = (EGO_ODOMETRY, ADVERSARY_ODOMETRY, EGO_SCAN, EGO_POINTS, EGO_IMU, ADVERSARY_DETECTIONS, TF)
+_STATES = (
+    Topic.EGO_ODOMETRY,
+    Topic.ADVERSARY_ODOMETRY,
+    Topic.EGO_SCAN,
+    Topic.EGO_POINTS,
+    Topic.EGO_IMU,
+    Topic.ADVERSARY_DETECTIONS,
+    Topic.TF,
+)
 """Topics by which a stack sees the car, or whom it may hit."""
 _NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
@@ -196,7 +192,7 @@ class Evidence:
     @cached_property
     def own(self) -> set[str]:
         """Names of the nodes that play SKD's parts."""
-        topics = (EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND)
+        topics = (Topic.EGO_ODOMETRY, Topic.EPISODE, Topic.VELOCITY_COMMAND)
         roles = {one.name for topic in topics for one in living_publishers(self.node, topic)}
         return roles | {self.node.get_fully_qualified_name()}
 
@@ -264,7 +260,7 @@ def diagnose(evidence: Evidence) -> Diagnosis:
 
 def _no_adversary(seen: Evidence) -> str | None:
     topic = seen.awaited.topic
-    return None if seen.publishers or topic != seen.full(VELOCITY_COMMAND) else f"no node publishes on {topic}"
+    return None if seen.publishers or topic != seen.full(Topic.VELOCITY_COMMAND) else f"no node publishes on {topic}"
 
 
 def _type(seen: Evidence) -> str | None:
@@ -296,7 +292,7 @@ def _qos_of_publisher(seen: Evidence) -> str | None:
 
 def _subscription(seen: Evidence) -> str | None:
     """Of a node that hears one of SKD's states, and takes it for another type or with what is not offered."""
-    for topic in map(seen.full, (*_STATES, CLOCK)):
+    for topic in map(seen.full, (*_STATES, Topic.CLOCK)):
         ours = [one for one in seen.node.get_publishers_info_by_topic(topic) if endpoint_name(one) in seen.own]
         for theirs in seen.node.get_subscriptions_info_by_topic(topic) if ours else ():
             if (name := endpoint_name(theirs)) not in seen.listening:
@@ -325,7 +321,7 @@ def _stamp(seen: Evidence) -> str | None:
 def _without_laser(seen: Evidence) -> str | None:
     if seen.senses:
         return None
-    scans = {seen.full(EGO_SCAN), seen.full(EGO_POINTS)}
+    scans = {seen.full(Topic.EGO_SCAN), seen.full(Topic.EGO_POINTS)}
     for name, topics in seen.listening.items():
         if found := scans & topics.keys():
             return f"{name} listens to {min(found)}, and the scenario has no section sensor: add one"
@@ -375,16 +371,16 @@ def _unpublished(seen: Evidence) -> str | None:
     ]
     if not lacking:
         return None
-    return f"{' and '.join(lacking[:_MOST])}, where no node publishes: remap it (-r odom:=/{EGO_ODOMETRY})"
+    return f"{' and '.join(lacking[:_MOST])}, where no node publishes: remap it (-r odom:=/{Topic.EGO_ODOMETRY})"
 
 
 def _follows_clock(seen: Evidence) -> str | None:
     named = {one.name for one in seen.publishers}
     for name, topics in seen.listening.items():
-        if seen.by_stamp and seen.full(CLOCK) in topics and name in named:
+        if seen.by_stamp and seen.full(Topic.CLOCK) in topics and name in named:
             return (
-                f"{name} is there, has not published, and listens to {CLOCK}, which waits for its command: where it "
-                "decides by a timer, -p quiet_time:=0.1"
+                f"{name} is there, has not published, and listens to {Topic.CLOCK}, which waits for its command: "
+                "where it decides by a timer, -p quiet_time:=0.1"
             )
     return None
 

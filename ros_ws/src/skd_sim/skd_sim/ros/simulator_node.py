@@ -37,17 +37,7 @@ from skd_sim.ros.lockstep import (
     frame_stamp,
 )
 from skd_sim.ros.state_publisher import StatePublisher
-from skd_sim.ros.support import (
-    COMMAND,
-    EPISODE,
-    EPISODE_RESULT,
-    LATCHED,
-    STREAM,
-    VELOCITY_COMMAND,
-    GraphNode,
-    declare,
-    run_node,
-)
+from skd_sim.ros.support import LATCHED, STREAM, GraphNode, Topic, declare, run_node
 from skd_sim.ros.to_messages import acceleration_command, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.dynamics.basic import Command, CommandLimits, wheels
@@ -108,11 +98,11 @@ class GraphSimulator:
         self._states = StatePublisher(
             node, StateOptions(**values_of(StateOptions, values)), clock=clock, initial_pose=values["initial_pose"]
         )
-        self._result = node.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
-        self._applied = node.create_publisher(AccelStamped, COMMAND, STREAM)
+        self._result = node.create_publisher(EpisodeResult, Topic.EPISODE_RESULT, STREAM)
+        self._applied = node.create_publisher(AccelStamped, Topic.COMMAND, STREAM)
         self._lockstep = self._listen_to_commands(alone=alone)
         if alone:
-            node.create_subscription(EpisodeMsg, EPISODE, self.begin, LATCHED)
+            node.create_subscription(EpisodeMsg, Topic.EPISODE, self.begin, LATCHED)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._watch = node.create_timer(
             _WATCH_PERIOD, lambda: self._do(self._lockstep.watch(time.monotonic())), clock=self._steady
@@ -146,7 +136,9 @@ class GraphSimulator:
         drives = _Publishers(node, node.create_subscription(commands.kind, topic, on_command, STREAM))
         walks = Senders()
         if alone:
-            walks = _Publishers(node, node.create_subscription(TwistStamped, VELOCITY_COMMAND, on_velocity, STREAM))
+            walks = _Publishers(
+                node, node.create_subscription(TwistStamped, Topic.VELOCITY_COMMAND, on_velocity, STREAM)
+            )
         low, high = -values["maximum_deceleration"], values["maximum_acceleration"]
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
         self._yaw_rate = commands.format.is_yaw_rate
@@ -155,7 +147,7 @@ class GraphSimulator:
             raise UsageError("quiet_time goes with --pacing lockstep: real time does not wait")
         return Lockstep(
             CommandSource("the car controller", topic, drives),
-            CommandSource("the adversary", VELOCITY_COMMAND, walks),
+            CommandSource("the adversary", Topic.VELOCITY_COMMAND, walks),
             WaitLimits(values["command_timeout"], values["startup_timeout"]),
             real_time=real_time,
             quiet_time=values["quiet_time"],

@@ -20,20 +20,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from skd_sim.options.options import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames, StateOptions
-from skd_sim.ros.support import (
-    ADVERSARY_DETECTIONS,
-    ADVERSARY_ODOMETRY,
-    CLOCK,
-    EGO_IMU,
-    EGO_ODOMETRY,
-    EGO_POINTS,
-    EGO_SCAN,
-    LATCHED,
-    ROBOT_DESCRIPTION,
-    STREAM,
-    TF,
-    TF_STATIC,
-)
+from skd_sim.ros.support import LATCHED, STREAM, Topic
 from skd_sim.ros.to_messages import (
     COVARIANCE_6,
     adversary_to_odometry,
@@ -70,22 +57,22 @@ class StatePublisher:
         self._scan_rate = options.scan_rate
         self._with_map = not options.own_localisation
         streams: dict[str, Any] = {
-            TF: TFMessage,
-            EGO_IMU: Imu,
-            EGO_SCAN: LaserScan,
-            EGO_POINTS: PointCloud2,
-            EGO_ODOMETRY: Odometry,
-            ADVERSARY_ODOMETRY: Odometry,
+            Topic.TF: TFMessage,
+            Topic.EGO_IMU: Imu,
+            Topic.EGO_SCAN: LaserScan,
+            Topic.EGO_POINTS: PointCloud2,
+            Topic.EGO_ODOMETRY: Odometry,
+            Topic.ADVERSARY_ODOMETRY: Odometry,
         }
-        latched = {TF_STATIC: TFMessage, ROBOT_DESCRIPTION: String}
+        latched: dict[str, Any] = {Topic.TF_STATIC: TFMessage, Topic.ROBOT_DESCRIPTION: String}
         if clock:
-            streams[CLOCK] = Clock
+            streams[Topic.CLOCK] = Clock
         if initial_pose:
             latched[INITIAL_POSE] = PoseWithCovarianceStamped
         if DETECTIONS is None:
-            node.get_logger().info(f"vision_msgs is not installed, so there is no topic {ADVERSARY_DETECTIONS}")
+            node.get_logger().info(f"vision_msgs is not installed, so there is no topic {Topic.ADVERSARY_DETECTIONS}")
         else:
-            streams[ADVERSARY_DETECTIONS] = DETECTIONS
+            streams[Topic.ADVERSARY_DETECTIONS] = DETECTIONS
         self._streams = {topic: node.create_publisher(kind, topic, STREAM) for topic, kind in streams.items()}
         self._latched = {topic: node.create_publisher(kind, topic, LATCHED) for topic, kind in latched.items()}
         self._described: tuple[Any, ...] = ()
@@ -106,35 +93,35 @@ class StatePublisher:
             self._described = described
             mount = None if scenario.sensor is None else (scenario.sensor.mount_ahead, 0.0, LASER_HEIGHT)
             fixed = static_transforms(mount, stamp, self._frames, with_map=self._with_map)
-            self._latched[TF_STATIC].publish(fixed)
-            self._latched[ROBOT_DESCRIPTION].publish(String(data=robot_description(scenario, self._frames)))
+            self._latched[Topic.TF_STATIC].publish(fixed)
+            self._latched[Topic.ROBOT_DESCRIPTION].publish(String(data=robot_description(scenario, self._frames)))
 
     def tell_time(self, stamp: int) -> None:
         """Publish the clock, ns."""
-        self._send(CLOCK, lambda: Clock(clock=to_stamp(stamp)))
+        self._send(Topic.CLOCK, lambda: Clock(clock=to_stamp(stamp)))
 
     def publish(self, frame: Frame, stamp: int) -> None:
         """Publish a state of the episode at its stamp (ns); it may be published repeatedly."""
         scenario, frames = self._scenario, self._frames
-        listeners = self._streams[TF].get_subscription_count()
+        listeners = self._streams[Topic.TF].get_subscription_count()
         # tf2 complains of a transform that comes twice; a listener that came since then needs it.
         if (stamp, listeners) != self._moved:
-            self._send(TF, lambda: scene_to_transforms(frame.scene(scenario), stamp, frames))
+            self._send(Topic.TF, lambda: scene_to_transforms(frame.scene(scenario), stamp, frames))
         self._moved = stamp, listeners
         inertia = self._inertial_unit.measure(frame.car, stamp)  # of every state, or it would depend on who listens
-        self._send(EGO_IMU, lambda: inertia_to_message(inertia, stamp, frames))
+        self._send(Topic.EGO_IMU, lambda: inertia_to_message(inertia, stamp, frames))
         if not (frame.tick * scenario.control_periods + frame.period) % self._scan_every:
             self._publish_scan(frame, stamp)
-        self._send(ADVERSARY_DETECTIONS, lambda: detections(scenario, frame.scene(scenario), stamp, frames.odom))
-        self._send(EGO_ODOMETRY, lambda: car_to_odometry(frame.car, stamp, frames))
-        self._send(ADVERSARY_ODOMETRY, lambda: adversary_to_odometry(frame.adversary, stamp))
+        self._send(Topic.ADVERSARY_DETECTIONS, lambda: detections(scenario, frame.scene(scenario), stamp, frames.odom))
+        self._send(Topic.EGO_ODOMETRY, lambda: car_to_odometry(frame.car, stamp, frames))
+        self._send(Topic.ADVERSARY_ODOMETRY, lambda: adversary_to_odometry(frame.adversary, stamp))
 
     def _publish_scan(self, frame: Frame, stamp: int) -> None:
-        heard = any(self._streams[topic].get_subscription_count() for topic in (EGO_SCAN, EGO_POINTS))
+        heard = any(self._streams[topic].get_subscription_count() for topic in (Topic.EGO_SCAN, Topic.EGO_POINTS))
         if self._laser is not None and heard:
             scan = self._laser.scan(frame.car, frame.adversary, frame.tick, frame.period)
-            self._send(EGO_SCAN, lambda: scan_to_message(scan, stamp, self._frames))
-            self._send(EGO_POINTS, lambda: scan_to_points(scan, stamp, self._frames))
+            self._send(Topic.EGO_SCAN, lambda: scan_to_message(scan, stamp, self._frames))
+            self._send(Topic.EGO_POINTS, lambda: scan_to_points(scan, stamp, self._frames))
 
     def _send(self, topic: str, make: Callable[[], Any]) -> None:
         publisher = self._streams.get(topic)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from enum import StrEnum
 from typing import Any
 
 import rclpy
@@ -22,27 +23,32 @@ from skd_sim.options.options import CommandOptions, Option, options_of
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.world.timing import period_of
 
-CLOCK = "/clock"
-TF = "/tf"
-TF_STATIC = "/tf_static"
-ROBOT_DESCRIPTION = "robot_description"
-EGO_ODOMETRY = "ego/odometry"
-EGO_IMU = "ego/imu"
-EGO_SCAN = "ego/scan"
-EGO_POINTS = "ego/points"
-ADVERSARY_ODOMETRY = "adversary/odometry"
-ADVERSARY_DETECTIONS = "adversary/detections"
-ACCELERATION_COMMAND = CommandOptions.command_topic
-VELOCITY_COMMAND = "adversary/velocity_command"
-EPISODE = "skd/episode"
-EPISODE_RESULT = "skd/episode_result"
-ASSESSMENT = "skd/assessment"
-MARKERS = "skd/markers"
-CLEARANCE = "skd/clearance"
-DEVIATION = "skd/deviation"
-COMMAND = "skd/command"
-DIAGNOSTICS = "/diagnostics"
-BELIEVED_CAR = "skd/believed_car"
+
+class Topic(StrEnum):
+    """Names of topics, relative ones below a node's namespace."""
+
+    CLOCK = "/clock"
+    TF = "/tf"
+    TF_STATIC = "/tf_static"
+    ROBOT_DESCRIPTION = "robot_description"
+    EGO_ODOMETRY = "ego/odometry"
+    EGO_IMU = "ego/imu"
+    EGO_SCAN = "ego/scan"
+    EGO_POINTS = "ego/points"
+    ADVERSARY_ODOMETRY = "adversary/odometry"
+    ADVERSARY_DETECTIONS = "adversary/detections"
+    ACCELERATION_COMMAND = CommandOptions.command_topic
+    VELOCITY_COMMAND = "adversary/velocity_command"
+    EPISODE = "skd/episode"
+    EPISODE_RESULT = "skd/episode_result"
+    ASSESSMENT = "skd/assessment"
+    MARKERS = "skd/markers"
+    CLEARANCE = "skd/clearance"
+    DEVIATION = "skd/deviation"
+    COMMAND = "skd/command"
+    DIAGNOSTICS = "/diagnostics"
+    BELIEVED_CAR = "skd/believed_car"
+
 
 STREAM = QoSProfile(depth=4000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 """States, commands and results: none may be lost.
@@ -243,7 +249,7 @@ class EpisodeFollower:
         self._identity = ("", -1, 0)
         self._latest = (0, 0)
         self._early: list[tuple[int, Any]] = []
-        node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
+        node.create_subscription(EpisodeMsg, Topic.EPISODE, self._on_episode, LATCHED)
 
     def _on_episode(self, message: Any) -> None:
         start = from_stamp(message.header.stamp)
