@@ -80,15 +80,12 @@ def truths_of(result: StoredResult, runs: int, runner: InProcessRunner) -> dict[
 
 
 def show(figures: Sequence[dict[str, Groups]], truths: Sequence[dict[str, Groups]]) -> None:
-    """Print the table: τ, its interval over φ, and over cars."""
+    """Print the table: τ, and its 95 % interval over cars, which is the wider one."""
     print(f"| figure | cars | {' | '.join(TRUTHS)} |")
     print("|---|---|" + "---|" * len(TRUTHS))
     for name in figures[0]:
         found = [agreement([one[name] for one in figures], [one[truth] for one in truths]) for truth in TRUTHS]
-        cells = []
-        for one in found:
-            ends = [f"{low:.2f}, {high:.2f}" for low, high in (pair for pair in (one.by_phi, one.by_cars) if pair)]
-            cells.append(f"{one.tau:.2f} [{'] ['.join(ends)}]")
+        cells = [f"{one.tau:.2f} [{', '.join(f'{end:.2f}' for end in one.by_cars or ())}]" for one in found]
         print(f"| {name} | {found[0].cars} | {' | '.join(cells)} |")
 
 

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.assessment.files.results import read_result
     from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-    from skd_evaluator.report.charts import PRICE_CAPTION, ChartedCar, coloured, price_chart, save_charts
+    from skd_evaluator.report.charts import ChartedCar, coloured, price_chart, save_charts
 
     done = run_combinations(read_campaign(FILE, [_entry(car) for car in arguments.cars]), arguments)
     if done is None:
@@ -60,8 +60,9 @@ def run(arguments: argparse.Namespace) -> int:
     page = page_of(content, campaign["seconds"])
     write_json(out / RESULT, content)
     (out / PAGE).write_text(page, encoding="utf-8")
-    cars = [ChartedCar(str(one.figures["car"]), one.figures) for one in results]
-    save_charts(out / PICTURE, [price_chart(coloured(cars))], f"Margin against the price of caution.\n{PRICE_CAPTION}")
+    cars = coloured([ChartedCar(str(one.figures["car"]), one.figures) for one in results])
+    title = "Margin against the price of caution. Grey: the best margin for each price"
+    save_charts(out / PICTURE, [price_chart(cars, equal_effort=True)], title)
     failures = [f"{row['name']}: {line}" for row in campaign["cells"] for line in row["problems"]]
     warnings = [f"{row['name']}: {line}" for row in campaign["cells"] for line in row["warnings"]]
     return finish(arguments, content, lambda: print(f"{page}\nresults in {out}"), warnings, failures)
@@ -152,8 +153,8 @@ def _directions(results: Sequence[StoredResult], figure: str) -> dict[tuple[int,
 
 
 HEADS = (
-    "rank", "car", "margin (m)", "R(1)", "R(2)", "R(3)", "rank by R(2)", "time lost (s)", "needless", "deadlock",
-    "impact (m/s)", "digest",
+    "rank", "car", "margin (m)", "rank by R(2)", "R(2)", "time lost (s)", "needless", "deadlock", "impact (m/s)",
+    "digest",
 )  # fmt: skip
 NOTES = (
     "Brackets: 95 % intervals. Ranks: first and last that a car may have, by the intervals of all its pairs together, "
@@ -167,7 +168,7 @@ def page_of(content: Mapping[str, Any], seconds: float) -> str:
     lines = [f"| {' | '.join(HEADS)} |", "|---" * len(HEADS) + "|"]
     for row in content["rows"]:
         places = ["{} ({}–{})".format(*row[f"{name}_rank"]) for name in RANKED]
-        cells = [places[0], row["car"], _cell(row["margin"], 2), *(_cell(row[name], 3) for name in RISKS), places[1]]
+        cells = [places[0], row["car"], _cell(row["margin"], 2), places[1], _cell(row["risk_2"], 3)]
         cells += [_cell(row[name], 2) for name in (*PRICE, "impact_speed")]
         lines.append(f"| {' | '.join(cells)} | `{row['digest'][:12]}` |")
     name, file = content["benchmark"], content["file"][:12]
