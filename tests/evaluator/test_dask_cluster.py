@@ -11,7 +11,7 @@ from local_dask import local_cluster, start_worker
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run import dask_cluster
 from skd_evaluator.assessment.run.dask_cluster import make_runner
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode
@@ -137,10 +137,10 @@ def test_a_scheduler_that_dies_or_was_never_there_is_one_line(cluster, monkeypat
         found = runner.run(replays(2000))
         next(found)
         cluster.scheduler.kill()  # the last test of this cluster
-        with pytest.raises(AssessmentError, match=f"the Dask scheduler {cluster.address} is gone"):
+        with pytest.raises(OutOfReachError, match=f"the Dask scheduler {cluster.address} is gone"):
             list(found)
     wait_until(lambda: cluster.scheduler.poll() is not None)
-    with make_runner(cluster.address, 1) as runner, pytest.raises(AssessmentError, match="no Dask scheduler answers"):
+    with make_runner(cluster.address, 1) as runner, pytest.raises(OutOfReachError, match="no Dask scheduler answers"):
         runner.start()
 
 
