@@ -75,8 +75,8 @@ class Explanation:
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
-        found = {"folder": self.folder, **self.trial.as_dict()} if self.trial else {"folder": None}
-        return {"hits": self.hits, "misses": self.misses, **found}
+        found = self.trial and {"folder": self.folder, **self.trial.as_dict()}
+        return {"hits": self.hits, "misses": self.misses, **(found or {"folder": None})}
 
     def _car(self, trial: DistinguishingTrial) -> str:
         """Return what the car that hits is called; a file below this folder by its path from here."""

@@ -42,7 +42,6 @@ SCALE: Final = 0.25
 """m: a greater difference counts as this."""
 EFFORT: Final = Effort(first=32, limit=64, deepens=False)
 _SHARES: Final = np.linspace(0.1, 0.9, 9)  # of the capital that are bet; each has a ninth of it at the beginning
-_SAME: Final = "drives exactly like a revision that is judged"
 _TRIALS: Final = 8  # that are searched at once
 _PHIS: Final = 3  # among whose trials the smallest that distinguishes two versions is looked for
 
@@ -180,8 +179,8 @@ class PairedTest:
         try:
             version = make()
             driven = self._driven(version)
-            same = Judgement(verdicts[driven], _SAME) if driven in verdicts else None
-            found = same or self._tested(version)
+            word, why = verdicts.get(driven), "drives exactly like a revision that is judged"
+            found = Judgement(word, why) if word else self._tested(version)
         except (UsageError, AssessmentError) as error:
             return Judgement(SKIP, str(error))
         verdicts |= {key: found.word, driven: found.word}

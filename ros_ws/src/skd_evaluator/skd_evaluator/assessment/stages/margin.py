@@ -127,12 +127,7 @@ def minimal_deviations(
     if again < hits:
         said = f"answers differently to the same trajectories: of {hits} hits {again} came again"
         raise AssessmentError(f"controller {first.controller} {said}. It may draw only from the generator of reset")
-    return found.hits, replace(found.search, how=_from(earlier).lstrip(", "))
-
-
-def _from(earlier: StoredResult | None) -> str:
-    """Return with what a search began, in words."""
-    return "" if earlier is None else f", from the hits of {earlier.folder} on"
+    return found.hits, replace(found.search, how="" if earlier is None else f"from the hits of {earlier.folder} on")
 
 
 def _effort(usual: Effort, limit: int) -> Effort:
@@ -178,7 +173,8 @@ def _by_whole_episodes(
     came = f"{again} of {hits} hits came again" if hits else "none hit"
     if held and again < hits:
         came += f", the others count as {plan.scenario.eta_max:g} m"
-    how = f"by up to {found.search.budget} whole episodes a trial{_from(earlier)}; {came}"
+    begun = "" if earlier is None else f", from the hits of {earlier.folder} on"
+    how = f"by up to {found.search.budget} whole episodes a trial{begun}; {came}"
     return (
         (best if held else found.hits),
         replace(found.search, how=how, converged=found.search.converged and not held),

@@ -28,7 +28,6 @@ from skd_evaluator.cli.output import finish, is_read
 from skd_evaluator.cli.parser import Parser, rare
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessment.context import Progress
     from skd_evaluator.assessment.files.results import StoredResult
     from skd_evaluator.cli.explain import Explanation
 
@@ -83,10 +82,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--rev rates two revisions: leave out the folders")
     request = assess_request(arguments.words)
     repository = Repository(request.controller)
-    with progress_bar(quiet=arguments.quiet) as progress:
-        rated = repository.assessed(arguments.rev, request, progress)
-        with rated as folders:
-            return _compare(arguments, folders, request.controller)
+    with (
+        progress_bar(quiet=arguments.quiet) as progress,
+        repository.assessed(arguments.rev, request, progress) as folders,
+    ):
+        return _compare(arguments, folders, request.controller)
 
 
 def _compare(arguments: argparse.Namespace, folders: Sequence[Path], controller: str = "") -> int:
@@ -110,7 +110,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
     from skd_evaluator.assessment.compare.comparison import Comparison, compare, ranking_figure
     from skd_evaluator.assessment.figure_table import columns
     from skd_evaluator.assessment.files.result_folder import write_json
-    from skd_evaluator.margin.common_trajectories import on_common_trajectories
+    from skd_evaluator.margin.common_trajectories import distinguishing_trials, on_common_trajectories
     from skd_evaluator.metrics.aborted import not_credible
     from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.report.tables import comparison_table, equal_remarks, verdict_table
@@ -131,12 +131,18 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
     confidence = 1.0 - 0.05 / (len(results) - 1)
     compared: list[Comparison] = []
     tried: list[str] = []
+    found: list[Explanation] = []
     with progress_bar() as progress:
-        for other in results[1:]:
+        for name, other in zip(names[1:], results[1:], strict=True):
             first, second, said = on_common_trajectories(results[0], other, progress)
             compared.append(compare(first, second, confidence))
             tried += said
-        found = explanations(results, names, progress, controller) if arguments.explain else []
+            if arguments.explain:
+                from skd_evaluator.cli.explain import Explanation  # which draws: slow to import
+
+                first_only, second_only = distinguishing_trials(results[0], other, progress)
+                found.append(Explanation(names[0], name, first_only, controller))
+                found.append(Explanation(name, names[0], second_only, controller))
     entries = [
         {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
@@ -183,21 +189,6 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
 
     failed = limit_failures(limits, {name: one.figures for name, one in zip(names, results, strict=True)})
     return max(finish(arguments, content, place, content["warnings"], [problem, *failed]), not read)
-
-
-def explanations(
-    results: Sequence[StoredResult], names: Sequence[str], progress: Progress, controller: str
-) -> list[Explanation]:
-    """Return the smallest trials in which only one of the first car and another one hits, for each other car."""
-    from skd_evaluator.cli.explain import Explanation
-    from skd_evaluator.margin.common_trajectories import distinguishing_trials
-
-    found = []
-    for name, other in zip(names[1:], results[1:], strict=True):
-        first_only, second_only = distinguishing_trials(results[0], other, progress)
-        found += [Explanation(names[0], name, first_only, controller)]
-        found += [Explanation(name, names[0], second_only, controller)]
-    return found
 
 
 def labels(results: Sequence[StoredResult]) -> list[str]:

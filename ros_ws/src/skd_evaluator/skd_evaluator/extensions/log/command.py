@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 RESULT = "log.json"
 _SHOWN = 30
-_LONGEST_GAP = 0.5  # s
 
 
 def add_log(parser: Parser) -> None:
@@ -54,7 +53,7 @@ def add_log(parser: Parser) -> None:
     text = "how far ahead of the middle of the car its tracked point is, m"
     add_value(where, "--reference", text, type=real_number(-20.0, 20.0), default=0.0, metavar="M")
     text = "do not fill longer gaps"
-    add_value(where, "--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=_LONGEST_GAP, metavar="S")
+    add_value(where, "--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=0.5, metavar="S")
     which = parser.add_argument_group("conflicts")
     text = "how far ahead both are predicted, s"
     add_value(which, "--within", text, type=real_number(0.5, 30.0), default=4.0, metavar="S")
@@ -149,9 +148,9 @@ def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
     for row in rows[:_SHOWN]:
         speed, impact = ("" if (one := row[key]) is None else f"{one:.1f}" for key in ("speed", "impact_speed"))
         margin = "" if row["margin"] is None else f"{'' if row['exact'] else 'at most '}{row['margin']:.2f}"
-        bounds = f"{row['least']:.2f} to {row['most']:.2f}"
-        where = (escape(row["drive"]), escape(short_name(row["user"])), f"{row['nearest']:.2f}", speed)
-        cells.append([*where, margin, impact, f"{row['recorded']:.2f}", bounds, escape(row["why"])])
+        drive, user, why = (escape(one) for one in (row["drive"], short_name(row["user"]), row["why"]))
+        recorded, bounds = f"{row['recorded']:.2f}", f"{row['least']:.2f} to {row['most']:.2f}"
+        cells.append([drive, user, f"{row['nearest']:.2f}", speed, margin, impact, recorded, bounds, why])
     print_table(narrow_table(title, (*heads, "not driven again because"), cells))
     if len(rows) > _SHOWN:
         print(f"{len(rows) - _SHOWN} more in {RESULT}")

@@ -180,14 +180,8 @@ def _conflict(
     nearest = float(times[int(np.nanargmin(np.where(driven[:, 3] > _DRIVES, apart, np.inf)))])
     until = times <= nearest + _AFTER
     times, driven, seen = times[until], driven[until], seen[until]
-    found = Conflict(
-        drive.name,
-        user.name,
-        car.origin + float(times[0]),
-        car.origin + nearest,
-        float(driven[0, 3]),
-        *_bounds(request, driven, seen),
-    )
+    begins, met = (car.origin + float(one) for one in (times[0], nearest))
+    found = Conflict(drive.name, user.name, begins, met, float(driven[0, 3]), *_bounds(request, driven, seen))
     others = [short_name(one.user.name) for one in every if one is not approach and _overlap(one, approach)]
     if others:
         return replace(found, why=f"several conflicts at once: also with {', '.join(dict.fromkeys(others))}")

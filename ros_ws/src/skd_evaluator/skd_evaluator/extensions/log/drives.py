@@ -184,7 +184,7 @@ def path_at(track: Track, times: FloatArray, longest_gap: float) -> FloatArray:
         error = np.where(to_end < 0.5 * smoothed, 2.0 * one, one)[:, None]
         low, high = np.fmax(low, places - error), np.fmin(high, places + error)
         agrees = agrees & (low <= high).all(axis=1)
-        found = np.where(agrees[:, None], places, found) if smoothed > SMOOTHED else places
+        found = np.where(agrees[:, None], places, found)
     return found
 
 
@@ -212,7 +212,7 @@ def steady_state(track: Track, time: float, longest_gap: float) -> FloatArray | 
 
 def _noise(track: Track) -> float:
     """Return the standard deviation of positions about the line through their neighbours, m; jumps count little."""
-    before, after = (np.diff(track.times)[some] for some in (slice(None, -1), slice(1, None)))
-    share = (before / (before + after))[:, None]
+    steps = np.diff(track.times)
+    share = (steps[:-1] / (steps[:-1] + steps[1:]))[:, None]
     off = track.places[1:-1] - (1.0 - share) * track.places[:-2] - share * track.places[2:]
     return float(1.4826 * np.median(np.abs(off) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)))
