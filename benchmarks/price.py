@@ -41,7 +41,7 @@ def main() -> None:
             every = (price_of_caution(one, safe_trajectories(one, runner), runner, RUNS) for one in plans)
             found = [one for one in every if one is not None]
             keys = ("time_lost", "slow", "needless", "deadlock")
-            lost, slow, needless, deadlock = (mean([getattr(one, key) for one in found]) for key in keys)
+            lost, slow, needless, deadlock = (mean([one.mean(key) for one in found]) for key in keys)
             ends = [one.ci95("time_lost") or (lost, lost) for one in found]
             held = sum(low <= lost <= high for low, high in ends) / len(found)
             shown = "[{:.2f}, {:.2f}]".format(*ends[0]) if len(found) == 1 else "–"

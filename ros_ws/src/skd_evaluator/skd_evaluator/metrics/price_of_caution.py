@@ -16,7 +16,7 @@ from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import student_quantile
 from skd_evaluator.metrics.difference import Difference, difference
-from skd_evaluator.metrics.statistics import Interval, mean, sample_variance, wilson_interval
+from skd_evaluator.metrics.statistics import Interval, mean, rare_interval, sample_variance
 
 HORIZON: Final = 30.0
 """s after which a car that has not passed is taken for one that never will."""
@@ -91,16 +91,24 @@ class PriceOfCaution:
         return mean(self._of(name))
 
     def ci95(self, name: str) -> Interval | None:
-        """Return the 95 % interval of it: Wilson's of a share.
+        """Return the 95 % interval of it; None where a kind, the strata of `time_lost` and `late`, has one run.
 
-        Draws are independent within each kind; of the undisturbed drives there is one kind alone. None where a kind has
-        a single run.
+        These have two parts, each with its own interval: a typical time of a run that never passes, times the share of
+        such runs, which may be rare; and the rest. Both are joined by the method of variance estimates recovery (Zou
+        and Donner, Statistics in Medicine 27, 2008).
         """
         values = self._of(name)
         if name in _SHARES:
-            return wilson_interval(round(sum(values)), len(values))
-        kinds = [""] * len(values) if name == "slow" else [one.kind for one in self.runs]
-        return stratified_interval(kinds, np.array(values))
+            return rare_interval(round(sum(values)), len(values))
+        if name == "slow":
+            return stratified_interval([""] * len(values), np.array(values))
+        never, stuck = mean([VALUES[name](one._replace(passed=HORIZON)) for one in self.runs]), self._of("deadlock")
+        rest = np.array(values) - never * np.array(stuck)
+        of_rest, share = stratified_interval([one.kind for one in self.runs], rest), self.ci95("deadlock")
+        if of_rest is None or share is None:
+            return None
+        below, above = (math.hypot(never * (mean(stuck) - share[end]), mean(rest) - of_rest[end]) for end in (0, 1))
+        return mean(values) - below, mean(values) + above
 
     def _of(self, name: str) -> list[float]:
         return [VALUES[name](one) for one in self.runs]
