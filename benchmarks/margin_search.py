@@ -135,10 +135,10 @@ def main() -> None:
     cars = {car.label: car for car in (*MEMORY_CARS, *CARS) if not car.is_basic}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--cars", nargs="+", default=list(cars), choices=cars, metavar="NAME", help="as in the catalogue"
+        "--cars", nargs="+", default=list(cars), metavar="NAME", help="as in the catalogue, or for --controller"
     )
     parser.add_argument(
-        "--settings", nargs="+", choices=SETTINGS, metavar="NAME", help="default: the car's own scenario"
+        "--settings", nargs="+", metavar="NAME", help="of these, or a scenario; default: that of the car"
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], metavar="N")
     parser.add_argument("--recorded", default="", metavar="DIR", help="CITR data of the setting recorded")
@@ -155,7 +155,8 @@ def main() -> None:
     rows: list[Row] = []
     failed = []
     for seed, label, name in itertools.product(arguments.seeds, arguments.cars, arguments.settings or [""]):
-        car, setting = cars[label], name or cars[label].scenario_name
+        car = cars.get(label, Car(label, label, label))
+        setting = name or car.scenario_name
         scenario, safe, most = SETTINGS.get(setting, (setting, "synthetic", MOST))
         count = min(arguments.safe_count, most)
         key = f"{label}, {setting}, {seed}, {size}"
