@@ -16,6 +16,7 @@ BESIDE = 0.5  # m beside the car that count as its path
 SIDE_ACCELERATION = 1.6  # m/s² with which it comes to its new offset
 SHARPEST_BEND = 0.2  # 1/m
 SHARPEST = 0.4  # of its speed, to the side at the most
+COMES_BACK = 0.4  # of the haste with which it evades
 
 
 class Brakes:
@@ -51,12 +52,13 @@ class Brakes:
         if not self._evades:
             return (-self.brake if self._acts else cruising), 0.0
         passed = gap < -(self._front + self._rear) - 0.5
-        return (-self.brake if self._acts else cruising), self._towards(car, 0.0 if passed else self._target)
+        curvature = self._towards(car, 0.0, COMES_BACK) if passed else self._towards(car, self._target)
+        return (-self.brake if self._acts else cruising), curvature
 
-    def _towards(self, car: CarState, target: float) -> float:
+    def _towards(self, car: CarState, target: float, haste: float = 1.0) -> float:
         """Return the curvature that leads to an offset to the right (m), and along the lane there."""
         speed, off = max(car.speed, 1.0), target - car.x
-        most = min(math.sqrt(2.0 * SIDE_ACCELERATION * abs(off)), 2.0 * abs(off), SHARPEST * speed)
+        most = haste * min(math.sqrt(2.0 * SIDE_ACCELERATION * abs(off)), 2.0 * abs(off), SHARPEST * speed)
         heading = -math.asin(max(-0.5, min(0.5, math.copysign(most, off) / speed)))
         return max(-SHARPEST_BEND, min(SHARPEST_BEND, (heading - (car.heading - math.pi / 2.0)) / (0.22 * speed)))
 

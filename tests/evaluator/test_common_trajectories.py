@@ -10,8 +10,10 @@ import pytest
 from skd_evaluator import assess
 from skd_evaluator.assessment.compare.comparison import SAFER, compare
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.margin.common_trajectories import check_not_worse, on_common_trajectories
+from skd_evaluator.margin.common_trajectories import check_not_worse, check_repeats, on_common_trajectories
+from skd_evaluator.report.terminal import headline
 
+EVASIVE = Path(__file__).parents[2] / "examples" / "evasive" / "evasive.py"
 CAR = '''
 class StoodStill:
     """Brakes for whoever is near, but ignores for five ticks whoever stood still for two."""
@@ -80,3 +82,24 @@ def test_exact_margins_stay(results):
         replace(one, figures={**one.figures, "margin_budget": None}) for one in map(results.get, ("deep", "shallow"))
     ]
     assert on_common_trajectories(*exact, quiet) == (*exact, ())
+
+
+def test_the_margin_of_a_car_that_uses_the_oncoming_lane_is_the_lower_one(tmp_path):
+    """It hits the car that comes there before anybody has strayed; with the lane free it gets away."""
+    small = SMALL | {"safe_count": 2, "margin_limit": 8, "behaviour": "none", "workers": 1}
+    found = assess(f"{EVASIVE}:OtherLane", out=tmp_path, scenario="oncoming_lane", **small)
+    figures = found.as_dict()
+    assert figures["margin"] == figures["margin_lanes"]["occupied"] < 0.1
+    assert list(figures["margin_lanes"]) == ["occupied", "free"]
+    assert figures["margin_lanes"]["free"] > 0.5
+    assert figures["optimality_gap"] is None  # the kamikazes planned with it free
+    said = f" It is with the oncoming lane occupied; with it free it is {figures['margin_lanes']['free']:.2f} m."
+    assert said in headline(figures)
+    result = read_result(tmp_path)
+    assert result.figures["margin_lanes"] == figures["margin_lanes"]
+    check_repeats(result, quiet)  # with the lane occupied
+
+
+def test_a_car_that_keeps_to_its_lane_has_one_margin(tmp_path):
+    small = SMALL | {"safe_count": 2, "margin_limit": 1, "behaviour": "none", "workers": 1}
+    assert "margin_lanes" not in assess(f"{EVASIVE}:Brakes", out=tmp_path, scenario="oncoming_lane", **small).as_dict()

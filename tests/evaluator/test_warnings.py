@@ -136,24 +136,6 @@ def test_a_car_that_is_judged_by_slow_touches_is_named(p90, hit_speed, trials, s
     assert not said or "at 0.70 m/s or less, and a hit begins at 0.556 m/s" in found[0]
 
 
-@pytest.mark.parametrize(
-    ("left", "scenario", "said"),
-    [
-        (0.3, "oncoming_lane", "in 30 % of the runs along φ: rate it with the other lane occupied, too"),
-        (0.3, "oncoming_traffic", "free, too (scenario oncoming_lane"),
-        (0.3, "crossing", ""),
-        (None, "oncoming_lane", ""),
-    ],
-)
-def test_a_car_that_uses_another_lane_is_to_be_rated_with_it_free_and_occupied(
-    left: float | None, scenario: str, said: str
-) -> None:
-    result = {**RESULT, "lane_left": left, "scenario": load_scenario(scenario).as_dict()}
-    added = set(figure_warnings(result)) - set(figure_warnings({**result, "lane_left": None}))
-    assert len(added) == bool(said)
-    assert said in " ".join(added)
-
-
 def planned(hits: int, standing: int, *, deviation: bool) -> dict[str, object]:
     """Kamikazes of one objective: 20 trials, so many hits by the moving car, so many that walked into it."""
     reached = hits if deviation else hits + standing

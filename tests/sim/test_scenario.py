@@ -4,6 +4,7 @@ import copy
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import schema_of
-from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario import (
+    Scenario,
+    changed_scenario,
+    load_scenario,
+    scenario_from_dict,
+    with_oncoming_lane,
+)
 from skd_sim.scenario.scenario_file import is_named, shipped_scenarios
 
 BASE = load_scenario("crossing").as_dict()
@@ -289,3 +296,26 @@ def test_what_is_relative_follows_the_test_speed() -> None:
         assert fast.car.start_gap_range == pytest.approx(0.3 * kmh / 3.6)
         assert fast.protocol.speed == fast.adversary.start_speed == pytest.approx(kmh / 3.6)
     assert changed_scenario("cut_in", {"adversary.start_y": -9.0}).adversary.start_y == -9.0
+
+
+def test_an_oncoming_lane_is_free_or_occupied() -> None:
+    free, occupied = load_scenario("oncoming_lane"), load_scenario("oncoming_traffic")
+    assert (free.oncoming_lane, occupied.oncoming_lane) == ("free", "occupied")
+    assert with_oncoming_lane(occupied, "free").others == ()
+    (car,), (shipped,) = with_oncoming_lane(free, "occupied").others, occupied.others
+    assert (car.kind, car.shape, car.first_heading) == (shipped.kind, shipped.shape, pytest.approx(-math.pi / 2))
+    for own, theirs in zip(car.way, shipped.way, strict=True):
+        assert (own.time, own.x, own.y) == pytest.approx((theirs.time, theirs.x, theirs.y))
+    parked = load_scenario("parked_car")  # half on the car's own lane
+    both = with_oncoming_lane(parked, "occupied")
+    assert [one.stands for one in both.others] == [True, False]
+    assert with_oncoming_lane(both, "free").others == parked.others
+    fast = replace(free, car=replace(free.car, start_speed=60.0), horizon=60.0)
+    assert min(point.y for (one,) in [with_oncoming_lane(fast, "occupied").others] for point in one.way) >= -500.0
+
+
+@pytest.mark.parametrize("name", ["crossing", "oncoming_turn"])  # there the adversary drives on it
+def test_a_scenario_without_an_oncoming_lane_of_its_own_has_no_state_of_it(name: str) -> None:
+    scenario = load_scenario(name)
+    assert scenario.oncoming_lane == ""
+    assert with_oncoming_lane(scenario, "") is scenario

@@ -361,7 +361,7 @@ class Assessment:
 
     def optimality_gap(self) -> tuple[float | None, Interval | None]:
         """Return how many times the margin the kamikazes that rank the car needed, in the same trials."""
-        if self.margins is None:
+        if self.margins is None or self.margins.lane not in ("", self.plan.scenario.oncoming_lane):
             return None, None
         margins, result = self.margins.per_phi, self.for_deviation
         return optimality_gap(result.numbered_deviations(list(map(len, margins))), margins, result.confidence)

@@ -178,7 +178,7 @@ class Figure:
         """Yield the keys that it is written under, and their schemas."""
         yield self.key, self.described()
         unit = ", m" if self.kind is LENGTH else ""
-        independent = _WILSON if self.kind is SHARE else f"{_OF_INDEPENDENT}{unit}"
+        independent = _OF_INDEPENDENT_EPISODES if self.kind is SHARE else f"{_OF_INDEPENDENT}{unit}"
         if self.kind is PROBABILITY:
             independent = _OF_THESE_PHI
         for end in self.ends:
@@ -193,7 +193,7 @@ class Figure:
 
 _OF_INDEPENDENT = "95 % interval of it, trials or pairs taken as independent"
 _OF_THESE_PHI = "95 % interval of the estimate, for these φ"
-_WILSON = "Wilson's 95 % interval, episodes taken as independent"
+_OF_INDEPENDENT_EPISODES = "95 % interval of it, episodes taken as independent"
 _MARGIN, _DEVIATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
 _RISK, _PRICE = Of.RISK, Of.PRICE
 _MORE, _LESS = Better.MORE, Better.LESS
@@ -246,6 +246,9 @@ FIGURES = (
     Figure("margin_sources", _typed("array", "null", items=ref("margin_source")),
            lambda m: m.search and [dict(one) for one in m.search.sources],
            "what each source of candidates brought; null: it is exact, or not known", _MARGIN, recomputed=False),
+    Figure("margin_lanes", _each({"type": "number"}), lambda m: dict(m.lanes),
+           "margin with the oncoming lane free and occupied, m; the lower one, which is the margin, stands first; "
+           "missing: the car keeps to its lane", _MARGIN, recomputed=False, optional=True),
     Figure("margin_gap", LENGTH, lambda m: m.gap,
            "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
     Figure("margin_trials", COUNT_OR_NULL, lambda m: int(m.values.size), "trials of which it is the mean", _MARGIN,

@@ -22,7 +22,7 @@ import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
-from skd_sim.scenario.scenario import Scenario, scenario_from_dict
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict, with_oncoming_lane
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import FloatArray, Trajectory
 
@@ -38,6 +38,7 @@ from skd_evaluator.margin.search.rounds import SAME, by_episodes, in_processes
 from skd_evaluator.margin.search.search import Earlier, Effort, OtherHit, margins_with_other_hits, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.deviation import Hit, hit_of
+from skd_evaluator.metrics.margins import lane_of_margin
 from skd_evaluator.metrics.statistics import mean
 
 MARGIN = "margin"
@@ -193,12 +194,13 @@ def _car_of(result: StoredResult) -> CarUnderTest:
 
 
 def _scenario_of(result: StoredResult) -> Scenario:
-    """Return the scenario of a result, with the control period that its car declares.
+    """Return the scenario of a result's margin, with the control period that its car declares.
 
     Raises:
         UsageError: its car does not go with it.
     """
-    return check_controller(_car_of(result), scenario_from_dict(result.figures["scenario"], str(result.folder)))
+    scenario = scenario_from_dict(result.figures["scenario"], str(result.folder))
+    return check_controller(_car_of(result), with_oncoming_lane(scenario, lane_of_margin(result.figures)))
 
 
 def _repeats(trial: EpisodeSpec, distance: float, log: EpisodeLog) -> bool:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from statistics import NormalDist
 from typing import Any
@@ -95,12 +95,20 @@ class Margins:
         eta_max: η_max, m: what a trial without a hit counts as.
         search: how they were searched for; None: the margins are exact.
         confidence: confidence of the intervals over φ.
+        lanes: of a car that leaves its lane: the margin with the oncoming lane in each of its states, m, the lower one
+            first, which these are of.
     """
 
     hits: tuple[tuple[Hit | None, ...], ...]
     eta_max: float
     search: Search | None = None
     confidence: float = 0.95
+    lanes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def lane(self) -> str:
+        """State of the oncoming lane that they are of; empty: as in the scenario."""
+        return next(iter(self.lanes), "")
 
     @cached_property
     def per_phi(self) -> tuple[FloatArray, ...]:
@@ -187,6 +195,11 @@ class Margins:
 def stopped_at(figures: Mapping[str, Any]) -> str:
     """Return, of a search that has not converged, where it stopped, from the content of assessment.json."""
     return f"had not converged at {figures['margin_budget']} candidates a trial"
+
+
+def lane_of_margin(figures: Mapping[str, Any]) -> str:
+    """Return the state of the oncoming lane that a margin is of, from assessment.json; empty: as in the scenario."""
+    return next(iter(figures.get("margin_lanes") or ()), "")
 
 
 def open_search(figures: Mapping[str, Any]) -> list[str]:

@@ -49,11 +49,6 @@ def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
     if (clipped := result["commands_clipped"])["commands"]:
         count = f"{clipped['commands']} commands in {clipped['episodes']} episodes"
         found.append(f"{count} were beyond what this car can do; they were clipped")
-    if result.get("lane_left") and result["scenario"]["road"].get("lanes"):
-        occupied = bool(result["scenario"].get("others"))
-        other, scenario = ("free", "oncoming_lane") if occupied else ("occupied", "oncoming_traffic")
-        left = f"the car leaves its lane in {100 * result['lane_left']:.0f} % of the runs along φ"
-        found.append(f"{left}: rate it with the other lane {other}, too (scenario {scenario}); the lower margin counts")
     return [*found, *contact_warnings(result)]
 
 

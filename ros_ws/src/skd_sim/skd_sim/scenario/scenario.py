@@ -20,14 +20,16 @@ from skd_sim.inputs.model import Frozen, OneOf, OnLane, YesNo, limits, read_mode
 from skd_sim.options.car_under_test import BASIC, DYNAMICS
 from skd_sim.scenario.ending import NOWHERE, Ending, Endings, ending_of
 from skd_sim.scenario.lanes import with_absolute_keys, without_lanes
-from skd_sim.scenario.road import HEADING_NORTH, Road, right_and_along, road_pose
-from skd_sim.scenario.road_user import Other, RoadUser
+from skd_sim.scenario.road import HEADING_NORTH, ONCOMING, Road, right_and_along, road_pose
+from skd_sim.scenario.road_user import CAR, Other, RoadUser
 from skd_sim.scenario.scenario_file import scenario_data
 from skd_sim.world.contact import clearance, rectangle_distance, runs_into, sweep, to_car_frame
 from skd_sim.world.state import AdversaryState, FloatArray, RoadUserState, Trajectory, braking_distance
 
 CONTROL_PERIODS = (0.001, 2.0)
 """Least and greatest time between two decisions of a car, s."""
+FREE, OCCUPIED = "free", "occupied"
+"""States of an oncoming lane."""
 
 
 @dataclass(frozen=True)
@@ -275,6 +277,29 @@ class Scenario(Frozen):
         """The same where the car may be anywhere on the road."""
         return self._ending(max(self.path_edge, max(self.road.edges) + self.adversary.reach))
 
+    @cached_property
+    def oncoming_lanes(self) -> tuple[int, ...]:
+        """The numbers of the lanes of oncoming traffic, the nearest first."""
+        found = [number for number, lane in self.road.every_lane.items() if lane.direction == ONCOMING]
+        return tuple(sorted(found, key=abs))
+
+    def comes(self, other: Other) -> bool:
+        """Return whether one of the others drives along an oncoming lane."""
+        return not other.stands and self._on_oncoming_lane([(point.x, point.y) for point in other.way])
+
+    def _on_oncoming_lane(self, places: list[tuple[float, float]]) -> bool:
+        across = right_and_along(self.road.line, np.array(places))[:, 0]
+        lanes = [(self.road.offset(number), 0.5 * self.road.width(number)) for number in self.oncoming_lanes]
+        return any(bool((np.abs(across - middle) < half).all()) for middle, half in lanes)
+
+    @property
+    def oncoming_lane(self) -> str:
+        """State of the oncoming lane, `free` or `occupied`; empty without one, or where the adversary drives on it."""
+        one = self.adversary
+        if not self.oncoming_lanes or (one.is_box and self._on_oncoming_lane([(one.start_x, one.start_y)])):
+            return ""
+        return OCCUPIED if any(map(self.comes, self.others)) else FREE
+
     def _ending(self, edge: float) -> Ending:
         here = np.array([[self.adversary.start_x, self.adversary.start_y]])
         start = float(right_and_along(self.road.line, here)[0, 0])
@@ -300,6 +325,7 @@ def _given(data: dict[str, Any]) -> dict[str, Any]:
 
 Shape = tuple[float, float, float]
 
+_FURTHEST = 400.0  # m from the crossing line, which a car on an oncoming lane reaches
 _OBSTACLE_SPACING = 0.1  # m between the places of an obstacle that are held against the car's path
 _START_SPACING = 0.05  # m between the places at which a car on a curved road is looked at before it starts
 
@@ -508,6 +534,26 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     scenario = read_model(Scenario, with_absolute_keys(without_lanes(data, where), where), where)
     check_scenario(scenario, where)
     return scenario
+
+
+def with_oncoming_lane(scenario: Scenario, state: str) -> Scenario:
+    """Return a scenario with its oncoming lane `free`, or `occupied` by a car; empty: as it is.
+
+    That car is as fast as the car under test, and as far from the crossing line when an episode starts.
+
+    Raises:
+        UsageError: no car can come there.
+    """
+    if state in ("", scenario.oncoming_lane):
+        return scenario
+    if state == FREE:
+        return dataclasses.replace(scenario, others=tuple(one for one in scenario.others if not scenario.comes(one)))
+    car, lane = scenario.car, scenario.oncoming_lanes[0]
+    speed, start = max(car.start_speed, 1.0), car.start_gap + car.front
+    end = max(start - speed * scenario.horizon, -_FURTHEST)
+    way = [{"time": (start - along) / speed, "lane": lane, "along": along} for along in (start, end)]
+    other = {"kind": CAR, "length": 4.5, "width": 1.8, "way": way}
+    return scenario_from_dict({**scenario.as_dict(), "others": [*scenario.as_dict().get("others", ()), other]})
 
 
 def load_scenario(source: str) -> Scenario:

@@ -326,7 +326,7 @@ def _stored_margins(
         excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])
         converged, sources = bool(figures["margin_converged"]), tuple(figures["margin_sources"] or ())
         search = Search(budget, converged, excess, sources, figures["margin_how"] or "")
-    return Margins(stored.margin_hits, scenario.eta_max, search, confidence)
+    return Margins(stored.margin_hits, scenario.eta_max, search, confidence, figures.get("margin_lanes") or {})
 
 
 def _stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float) -> Risks | None:

@@ -6,6 +6,7 @@ them. So the margins are a property of the car, and do not depend on what an adv
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -16,6 +17,7 @@ from skd_adversary.adversary import warm_up_episodes
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import is_kept
 from skd_sim.options.car_under_test import is_own_world
+from skd_sim.scenario.scenario import FREE, OCCUPIED, with_oncoming_lane
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 
@@ -28,7 +30,7 @@ from skd_evaluator.assessment.run.workers import Workers, available_workers, in_
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
-from skd_evaluator.margin.common_trajectories import earlier_version
+from skd_evaluator.margin.common_trajectories import earlier_version, whole_trajectory
 from skd_evaluator.margin.exact.exact import exact_margin, search_least
 from skd_evaluator.margin.search.rounds import SAME, by_episodes, confirmed, in_processes, one_by_one
 from skd_evaluator.margin.search.search import (
@@ -39,6 +41,7 @@ from skd_evaluator.margin.search.search import (
     Effort,
     search_margins,
 )
+from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.frechet import discrete_frechet
@@ -182,41 +185,81 @@ def _by_whole_episodes(
     )
 
 
+def _margins(
+    plan: Plan, assessment: Assessment, logs: Mapping[int, Sequence[EpisodeLog]], context: Context, *, whole: bool
+) -> tuple[Margins, list[str]]:
+    """Return the margins of the trials of a plan, and warnings, a line each; `whole`: whole episodes search them."""
+    most = HELD_COMMANDS_TRIALS if context.holds_commands else WHOLE_EPISODE_TRIALS
+    each = min(plan.kamikaze_count, most) if whole else plan.kamikaze_count
+    episodes = plan.trials(assessment.safe, each)
+    search: Search | None
+    warnings: list[str] = []
+    if whole:
+        trials = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
+        found, search, warnings = _by_whole_episodes(trials, logs, plan, _runner(plan, context), context)
+    else:
+        found, search = minimal_deviations(
+            episodes, logs, context.workers, context.progress, context.margin_limit, context.earlier
+        )
+    hits = tuple(tuple(found[start : start + each]) for start in range(0, len(found), each))
+    return Margins(hits, plan.scenario.eta_max, search, assessment.confidence), warnings
+
+
+def _runner(plan: Plan, context: Context) -> Runner:
+    return context.runner if plan.car.is_external else context.workers
+
+
+def _lower_of_both_lanes(
+    plan: Plan, assessment: Assessment, margins: Margins, warnings: list[str], context: Context, *, whole: bool
+) -> tuple[Margins, list[str]]:
+    """Return the lower of the margins with the oncoming lane as it is and in its other state; there the hits are tried.
+
+    Args:
+        plan: the plan of the assessment.
+        assessment: what is known.
+        margins: with the lane as the scenario has it.
+        warnings: of these.
+        context: who searches.
+        whole: whether whole episodes search.
+    """
+    own = plan.scenario.oncoming_lane
+    state = FREE if own == OCCUPIED else OCCUPIED
+    try:
+        other = replace(plan, scenario=with_oncoming_lane(plan.scenario, state))
+    except UsageError as error:
+        return margins, [*warnings, f"the margin with the oncoming lane {state} is not known: {error}"]
+    trials = other.trials(assessment.safe, len(margins.hits[0]))
+    pairs = zip(trials, itertools.chain.from_iterable(margins.hits), strict=True)
+    known = [prescribed(trial, whole_trajectory(hit)) for trial, hit in pairs if hit is not None]
+    logs = {log.episode.episode_id: [log] for log in _runner(plan, context).run(known)}
+    further, lines = _margins(other, assessment, logs, context, whole=whole)
+    both = sorted([(margins.mean, own, margins), (further.mean, state, further)], key=lambda one: one[0])
+    lanes = {lane: mean for mean, lane, _ in both}
+    return replace(both[0][2], lanes=lanes), [*warnings, *lines]
+
+
 @stage(70)
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the margin of the car, and the C of the basic car with the same; or why there is none.
 
     A car that is a node of its own, or in another simulator than SKD's own world, is searched by whole episodes.
     """
-    plan = assessment.for_deviation.plan
-    held = context.holds_commands
+    plan, held = assessment.for_deviation.plan, context.holds_commands
     whole = (context.repeats or held) and (plan.car.is_external or not is_own_world(plan.simulator))
     note = why_no_margin(plan, context.margin_limit, whole_episodes=whole)
     if not note and whole and 2 * len(assessment.reasons) > assessment.episodes:
         note = "most episodes were aborted, and so would be those that search it"
     if note:
         return replace(assessment, margin_note=note)
-    most = HELD_COMMANDS_TRIALS if held else WHOLE_EPISODE_TRIALS
-    each = min(plan.kamikaze_count, most) if whole else plan.kamikaze_count
-    episodes = plan.trials(assessment.safe, each)
     logs: dict[int, list[EpisodeLog]] = {}
     for log in assessment.kamikaze_logs:
         logs.setdefault(log.episode.episode_id, []).append(log)
-    search: Search | None
-    warnings: list[str] = []
     try:
-        if whole:
-            runner = context.runner if plan.car.is_external else context.workers
-            trials = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
-            found, search, warnings = _by_whole_episodes(trials, logs, plan, runner, context)
-        else:
-            found, search = minimal_deviations(
-                episodes, logs, context.workers, context.progress, context.margin_limit, context.earlier
-            )
+        margins, warnings = _margins(plan, assessment, logs, context, whole=whole)
+        if assessment.lanes_left and plan.scenario.oncoming_lane:
+            margins, warnings = _lower_of_both_lanes(plan, assessment, margins, warnings, context, whole=whole)
     except AssessmentError as error:  # a car that fails only in the search still has its other figures
         return replace(assessment, margin_note=f"its search ended: {error}")
-    hits = tuple(tuple(found[start : start + each]) for start in range(0, len(found), each))
-    margins = Margins(hits, plan.scenario.eta_max, search, assessment.confidence)
     equivalent: EquivalentMultiplier | None
     if margins.exact:  # it is a basic car itself
         own = plan.multiplier
