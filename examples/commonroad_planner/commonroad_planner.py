@@ -1,7 +1,7 @@
 """CommonRoad's reactive planner as the car under test: it samples ways of driving on, and the best free one is driven.
 
 Nothing of the planner is here. In each tick it is told the car's state and where the adversary is predicted to be, and
-of its plan that tick is driven. It plans along the lane only, for SKD's car does not steer.
+of its plan that tick is driven. One car plans along the lane only, the other to the side, too.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from commonroad_rp.utility.config import ReactivePlannerConfiguration
 from commonroad_rp.utility.utils_coordinate_system import CoordinateSystem
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.dynamics.basic import Command
 from skd_sim.world.state import AdversaryState, CarState
 
 LANE_END = 150.0  # m from the crossing point, both ways: further than any episode and its plans go
 REAR_AXLE = 1.4  # m behind the middle of the car
 FULL_BRAKE = 8.0  # m/s², where the planner finds no free way; dry asphalt allows it
 SLOWEST = 0.06  # m/s; told 0.05 or less, the planner fails while it writes a line of its log
+SHORTEST = 0.05  # m of a way that has a curvature
 QUIET = "CRITICAL"
 
 
@@ -35,6 +37,8 @@ class ReactivePlannerCar:
 
     Others than the adversary are not told to it.
     """
+
+    steers = False
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Take measures, lane and wanted speed from the scenario; the planner draws nothing.
@@ -52,36 +56,44 @@ class ReactivePlannerCar:
                 f"{scenario.adversary.kind}"
             )
         car = scenario.car
-        self._measures = car.front, car.rear, car.width, scenario.road.lane_width
+        self._measures = car.front, car.rear, car.width, scenario.road.lane_width, self.steers
         self._radius, self._desired, self._tick = scenario.adversary.radius, car.start_speed, scenario.time_step
-        self._acceleration = 0.0
+        self._acceleration, self._angle = 0.0, 0.0
 
-    def command(self, car: CarState, adversary: AdversaryState) -> float:
-        """Return the mean acceleration (m/s²) of the plan's first tick; full braking where there is no free plan."""
+    def command(self, car: CarState, adversary: AdversaryState) -> Command:
+        """Return the mean acceleration (m/s²) of the plan's first tick; full braking where there is no free plan.
+
+        One that steers returns that and the mean curvature, 1/m.
+        """
         front, rear, *_ = self._measures
         planner, coordinates = _planner(*self._measures)
-        middle = car.y + 0.5 * (front - rear)
+        behind = REAR_AXLE - 0.5 * (front - rear)
         speed = max(car.speed, SLOWEST)
         start = ReactivePlannerState(
             time_step=0,
-            position=np.array([0.0, middle - REAR_AXLE]),
-            orientation=0.5 * math.pi,
+            position=np.array([car.x - behind * math.cos(car.heading), car.y - behind * math.sin(car.heading)]),
+            orientation=car.heading,
             velocity=speed,
             acceleration=self._acceleration,
-            yaw_rate=0.0,
-            steering_angle=0.0,
+            yaw_rate=speed * math.tan(self._angle) / planner.vehicle_params.wheelbase,
+            steering_angle=self._angle,
         )
         free = self._predicted(adversary, planner.dt, planner.N)
         planner.reset(initial_state_cart=start, collision_checker=free, coordinate_system=coordinates)
         planner.set_desired_velocity(desired_velocity=self._desired, current_speed=speed)
         plan = planner.plan()
         if plan is None:
-            self._acceleration = -FULL_BRAKE if car.speed > 0.0 else 0.0
-            return -FULL_BRAKE
+            self._acceleration, self._angle = -FULL_BRAKE if car.speed > 0.0 else 0.0, 0.0
+            return (-FULL_BRAKE, 0.0) if self.steers else -FULL_BRAKE
         along = plan[1]  # position, speed and acceleration at each step
         steps = round(self._tick / planner.dt)
         self._acceleration = float(along[steps][2])
-        return (float(along[steps][1]) - speed) / self._tick
+        acceleration = (float(along[steps][1]) - speed) / self._tick
+        if not self.steers:
+            return acceleration
+        end, way = plan[0].state_list[steps], float(along[steps][0] - along[0][0])
+        self._angle = float(end.steering_angle)
+        return acceleration, float(end.orientation - car.heading) / way if way > SHORTEST else 0.0
 
     def _predicted(self, adversary: AdversaryState, step: float, steps: int) -> Any:
         """Return what the plan must not touch: the adversary, who keeps their velocity."""
@@ -94,8 +106,16 @@ class ReactivePlannerCar:
         return free
 
 
+class SteeringPlannerCar(ReactivePlannerCar):
+    """Plans to the side, too, as far as its lane is free."""
+
+    steers, steers_by = True, "curvature"
+
+
 @cache
-def _planner(front: float, rear: float, width: float, lane_width: float) -> tuple[ReactivePlanner, CoordinateSystem]:
+def _planner(
+    front: float, rear: float, width: float, lane_width: float, steers: bool
+) -> tuple[ReactivePlanner, CoordinateSystem]:
     """Return a planner for a car on the lane, and the lane's coordinates: made once, for it takes long."""
     along = np.arange(-LANE_END, LANE_END + 1.0, 1.0)
     right, centre, left = (
@@ -106,7 +126,8 @@ def _planner(front: float, rear: float, width: float, lane_width: float) -> tupl
     told = ReactivePlannerConfiguration()
     told.debug.multiproc, told.debug.logging_level = False, QUIET
     told.vehicle.length, told.vehicle.width, told.vehicle.wb_rear_axle = front + rear, width, REAR_AXLE
-    told.sampling.d_min = told.sampling.d_max = 0.0
+    aside = 0.5 * (lane_width - width) if steers else 0.0
+    told.sampling.d_min, told.sampling.d_max = -aside, aside
     told.update(scenario=road)
     coordinates = CoordinateSystem(centre, False, CLCSParams())
     planner = ReactivePlanner(told)

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 pytest.importorskip(
     "commonroad_rp", reason="commonroad-reactive-planner is not installed: examples/commonroad_planner/README.md"
@@ -51,6 +53,14 @@ def test_it_stops_before_who_stands_and_drives_on_when_they_are_gone():
             stopped = speed
     assert stopped < 0.05
     assert speed > 0.3
+
+
+def test_one_that_steers_passes_who_stands_at_the_edge_of_its_lane():
+    phi = Trajectory(np.tile([0.75, 0.0], (16, 1)), 0.3)
+    log = run_episode(EpisodeSpec(CROSSING, Mode.REPLAY, 0, 0, phi, controller="commonroad_planner:SteeringPlannerCar"))
+    assert log.outcome != Outcome.COLLISION
+    assert log.car[-1, 1] > 5.0
+    assert -0.85 < log.car[:, 0].min() < -0.2
 
 
 def test_where_no_plan_is_free_it_brakes_fully():
