@@ -43,6 +43,9 @@ def headline(result: Mapping[str, Any], *, named: bool = True) -> str:
     """Return what was found, in one line; first that it is not credible, if so; with the name of the car if `named`."""
     said = credibility(result.get("warnings") or ())
     found = _found(result, f"{result['car']}; " if named else "")
+    if lanes := result.get("margin_lanes"):
+        state, other = lanes
+        found += f" It is with the oncoming lane {state}; with it {other} it is {lanes[other]:.2f} m."
     return f"{said.capitalize()} (the warnings say why): {found}" if said else found
 
 
