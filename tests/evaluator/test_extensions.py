@@ -57,7 +57,7 @@ def test_an_extension_is_imported_by_itself_alone(name: str):
 def test_help_does_without_an_extension(name: str, tmp_path: Path):
     package = copied(tmp_path)
     shutil.rmtree(package / "extensions" / name)
-    done = skd(tmp_path, "--help")
+    done = skd(tmp_path, "--help-all")
     assert (done.returncode, done.stderr) == (0, "")
     for extension, commands in COMMANDS.items():
         for command in commands:

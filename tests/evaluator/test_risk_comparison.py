@@ -81,6 +81,17 @@ def leant(results: dict[str, StoredResult], sign: float, **figures: tuple[float,
     return Comparison(*pair, differences, (4, 4), (), "", ())
 
 
+def test_one_line_says_that_a_bound_withholds_the_verdict(results):
+    """No other says that the margins do not differ, or that the risk tells more."""
+    first, second = results["A"], results["B"]
+    second = replace(second, figures={**second.figures, "margin_converged": False, "margin_budget": 512})
+    found = compare(first, second)
+    assert (found.verdict, found.reason) == (INCONCLUSIVE, "a margin is an upper bound")
+    assert [line for line in found.lines() if "inconclusive" in line or "differ" in line] == [found.lines()[0]]
+    assert f"the margin of {second.folder} is at most" in found.lines()[0]
+    assert compare(second, first).verdict == INCONCLUSIVE
+
+
 @pytest.mark.parametrize(
     ("figures", "verdict", "opposed"),
     [

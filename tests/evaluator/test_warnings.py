@@ -170,8 +170,8 @@ def test_a_search_that_has_not_converged_gives_an_upper_bound() -> None:
     said = headline(result)
     assert "Safety margin at most 2.00 m" in said
     assert "No hit found in 3 of 12: each counts as 5 m." in said
-    assert "--margin-limit" in said
     assert "had not converged at 16 candidates a trial" in figure_warnings(result)[0]
+    assert "--margin-limit" in figure_warnings(result)[0]
     converged = {**result, "margin_converged": True}
     assert "at most" not in headline(converged)
     assert "converged" not in headline(converged)

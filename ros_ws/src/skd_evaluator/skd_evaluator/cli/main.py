@@ -23,12 +23,6 @@ from skd_evaluator.files import begin_command, what_is_in_place
 
 _OF_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
 """Errors of names that were given, and not of the machine."""
-_LIMITS = {
-    errno.EMFILE: "; allow more (ulimit -n)",
-    errno.EAGAIN: ": no further process or thread can be started; allow more (ulimit -u)",
-    errno.EFBIG: "; allow larger ones (ulimit -f)",
-}
-"""What to do about a limit of this user's."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -80,9 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return EXIT_USAGE
         if error.errno == errno.ENOSPC and error.filename is None:
             give_up()  # it may be the output itself
-        advice = _LIMITS.get(error.errno or 0, "")
         why = str(error) if _is_somewhere() else "the current folder was removed; go to one that is there"
-        print(f"{name}: error: {one_line(why)}{advice}", file=sys.stderr)
+        print(f"{name}: error: {one_line(why)}", file=sys.stderr)
         return EXIT_FAILED
     except MemoryError:
         print(f"{name}: error: out of memory (limit: ulimit -v)", file=sys.stderr)

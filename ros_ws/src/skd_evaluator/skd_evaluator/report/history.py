@@ -14,7 +14,7 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json, real_path
 
-from skd_evaluator.assessment.compare.comparison import Comparison, compare
+from skd_evaluator.assessment.compare.comparison import NOT_COMPARED, Comparison, compare
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged
@@ -166,7 +166,7 @@ def _trend_row(run: Run, figure: str, compared: Comparison | None) -> dict[str, 
         "value": run.figures.get(figure),
         "ci95": run.figures.get(f"{figure}_ci95"),
         "margin_converged": run.figures.get("margin_converged"),
-        "verdict": "" if compared is None else compared.verdict_beside(figure),
+        "verdict": "" if compared is None else compared.verdict if figure in compared.differences else NOT_COMPARED,
         "credible": not run.not_credible,
         "difference": None if change is None else change.value,
         "difference_interval": None if change is None else change.interval,
@@ -186,13 +186,12 @@ def runs_table(runs: Sequence[Run]) -> Table:
     """
     parent = _common_parent([run.folder for run in runs])
     title = f"Assessments in {escape(str(parent))}, as they are written"
-    scenarios = {run.scenario for run in runs}
-    several = len(scenarios) > 1
+    several = len({run.scenario for run in runs}) > 1
     rows = [
         (
             f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.warnings else ''}",
             escape(run.car),
-            *([escape(run.scenario)] if several else []),
+            *([escape(run.scenario)] * several),
             bounded_cell(run.figures, _number(run.figures["margin"])),
             _number(run.figures["margin_ci95"], 2),
             TERMINAL.share(run.figures["nominal_collision_rate"]),
@@ -202,17 +201,9 @@ def runs_table(runs: Sequence[Run]) -> Table:
         )
         for run in runs
     ]
-    heads = [
-        "folder",
-        "car",
-        *(["scenario"] if several else []),
-        "margin\n(m)",
-        "95 %,\nby φ",
-        "nominal\ncollisions",
-        "φ",
-    ]
+    heads = ("margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ", "code of\nthe car", "date\n(UTC)")
     title += "" if several else f"; scenario {escape(runs[0].scenario)}"
-    return narrow_table(title, (*heads, "code of\nthe car", "date\n(UTC)"), rows, whole=True)
+    return narrow_table(title, ("folder", "car", *(["scenario"] * several), *heads), rows, whole=True)
 
 
 def _common_parent(folders: Sequence[Path]) -> Path:

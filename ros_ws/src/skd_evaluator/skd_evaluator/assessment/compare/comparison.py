@@ -170,10 +170,6 @@ class Comparison:
         first, second = (one.figures["margin_converged"] is False for one in (self.first, self.second))
         return first, second
 
-    def verdict_beside(self, figure: str) -> str:
-        """Return the verdict where this figure is shown: that of margin and risk, if the figure is compared at all."""
-        return self.verdict if figure in self.differences else NOT_COMPARED
-
     @property
     def votes(self) -> dict[str, int]:
         """What decides, by figure: 1: the second car is safer; −1: less safe; 0: inconclusive."""

@@ -25,8 +25,8 @@ EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
 def add_export(parser: Parser) -> None:
     """Write kamikazes and safe trajectories as OpenSCENARIO, OSI, CommonRoad or csv.
 
-    Write the safe trajectories φ of a result, and every kamikaze, or the trial that a comparison, a bisection or a log
-    has written, as files that other tools open. docs/logs.md says what each format keeps.
+    Write the safe trajectories φ of a result, and every kamikaze, as files that other tools open. It takes the trial of
+    a comparison, a bisection or a log, too. docs/logs.md says what each format keeps.
     """
     parser.set_defaults(group="exchange")
     add_value(parser, "path", "folder of an assessment or of a trial", type=Path, metavar="RESULT")
