@@ -348,9 +348,10 @@ class InProcessRunner(Workers):
             pool, self._pool = self._pool, None
         if pool is None:
             return
-        if not wait:
+        if wait:
+            pool.shutdown(cancel_futures=True)
+        else:
             _end(pool)
-        pool.shutdown(cancel_futures=True)
         end_children()
 
     def _expect(self, episodes: Sequence[EpisodeSpec]) -> None:
@@ -396,10 +397,14 @@ class InProcessRunner(Workers):
 
 def _end(pool: ProcessPoolExecutor) -> None:
     """End the workers of a pool, whatever they are at."""
-    # Python would wait at its end until the rest of the work is in a pipe that nobody reads (gh-94777).
-    vars(pool)["_call_queue"].cancel_join_thread()
-    for process in list((pool._processes or {}).values()):
+    processes, manager = list((pool._processes or {}).values()), vars(pool)["_executor_manager_thread"]
+    # First the pool drops what has not begun: if it found its workers dead, its thread would end with InvalidStateError
+    # at work that was cancelled, and Python would wait at its end for a pipe that nobody reads.
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
         process.terminate()
+    if manager is not None:
+        manager.join()
 
 
 def _begin(parent: int, answer_limit: float) -> None:
