@@ -93,7 +93,9 @@ def test_the_margin_of_a_car_that_uses_the_oncoming_lane_is_the_lower_one(tmp_pa
     assert list(figures["margin_lanes"]) == ["occupied", "free"]
     assert figures["margin_lanes"]["free"] > 0.5
     assert figures["optimality_gap"] is None  # the kamikazes planned with it free
-    said = f" It is with the oncoming lane occupied; with it free it is {figures['margin_lanes']['free']:.2f} m."
+    said = (
+        f" The margin is with the oncoming lane occupied; with it free it is {figures['margin_lanes']['free']:.2f} m."
+    )
     assert said in headline(figures)
     result = read_result(tmp_path)
     assert result.figures["margin_lanes"] == figures["margin_lanes"]

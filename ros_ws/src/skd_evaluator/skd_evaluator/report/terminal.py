@@ -45,7 +45,7 @@ def headline(result: Mapping[str, Any], *, named: bool = True) -> str:
     found = _found(result, f"{result['car']}; " if named else "")
     if lanes := result.get("margin_lanes"):
         state, other = lanes
-        found += f" It is with the oncoming lane {state}; with it {other} it is {lanes[other]:.2f} m."
+        found += f" The margin is with the oncoming lane {state}; with it {other} it is {lanes[other]:.2f} m."
     return f"{said.capitalize()} (the warnings say why): {found}" if said else found
 
 
