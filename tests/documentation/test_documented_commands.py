@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SHELLS = {"bash", "console", "sh", "shell"}
 FOREIGN = (
     *("colcon", "cyclonedx-py", "dask", "docker", "git", "pip-audit", "python", "python3"),
-    *("ros2", "rosdep", "ssh-keygen", "sudo", "tmux"),
+    *("ros2", "rosdep", "ssh-keygen", "sudo"),
 )
 """Programs that the documentation calls and that do not lie in the checkout."""
 _INTERPRETERS = (
@@ -144,7 +144,6 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"git clone|sudo apt|.* -m pip |pip-audit|cyclonedx-py|colcon|docker": "changes the machine, or needs the network",
     r"ros2": "needs a sourced ROS 2: tests/packaging/test_files.py has it where there is one",
     r".* --graph": "four processes: tests/graph/test_vendor_controller.py runs those that need no stack of others",
-    r"tmux": "of terminals: tests/graph/test_vendor_controller.py has them without tmux",
     r"scripts/(run-node|assess-controller|replay-logs)": "the same",
     r"scripts/skd (replay skd_results/(vendor|monitor)|fit skd_results/probe)": "of a graph's recordings: the same",
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",

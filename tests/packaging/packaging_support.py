@@ -65,10 +65,6 @@ def check_command(line: str) -> None:
     words = shlex.split(line)
     while re.match(r"[A-Z_]+=", words[0]) and len(words) > 1:  # variables of this command alone
         del words[0]
-    if words[0] == "tmux":
-        for command in (word for word in words if " " in word):
-            check_command(command)
-        return
     if words[:2] == ["ros2", "run"] and words[2].startswith("skd_"):
         assert words[3] in executables(words[2])
         check_parameters(words[3], words[4:])
