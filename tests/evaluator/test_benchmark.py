@@ -8,7 +8,7 @@ import pytest
 from skd_evaluator.cli.main import main
 from skd_evaluator.extensions.campaign import benchmark
 
-FROZEN = "14ae8316296725c07cca9fb069511aac3a206c9424975f5eab3954d2fbdfde9c"
+FROZEN = "a597b7b7f24ed08fe853ba7cc17caeb1122bbeb73370029af8c2ff429b15c089"
 SMALL = """
 defaults: {scenario: crossing, seed: 1, safe_count: 2, kamikaze_count: 1, collision_runs: 2, risk_runs: 4,
   margin_limit: 8, objective: deviation, simulations: 20, adversary_model: generic}
