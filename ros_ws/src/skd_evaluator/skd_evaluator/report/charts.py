@@ -457,10 +457,10 @@ PRICE_CAPTION: Final = (
 )
 
 
-def price_chart(cars: Sequence[ChartedCar], *, equal_effort: bool = False) -> Spec:
+def price_chart(cars: Sequence[ChartedCar]) -> Spec:
     """Return the chart of margin against the price of caution, of cars that have both, with the Pareto line.
 
-    Many cars have their names beside their points. Margins that are upper bounds count with `equal_effort` alone.
+    Many cars have their names beside their points.
     """
     rows: list[dict[str, Any]] = []
     left_out: list[dict[str, Any]] = []
@@ -470,7 +470,7 @@ def price_chart(cars: Sequence[ChartedCar], *, equal_effort: bool = False) -> Sp
         mean = price.mean("late")
         low, high = price.ci95("late") or (mean, mean)
         note = "does not get past people" if price.does_not_get_past else ""
-        note = note or ("margin at most" if one.figures["margin_converged"] is False and not equal_effort else "")
+        note = note or ("margin at most" if one.figures["margin_converged"] is False else "")
         lost, slow = map(price.mean, ("time_lost", "slow"))
         late = {"y": mean, "y_low": low, "y_high": high, "lost": lost, "slow": slow}
         (left_out if note else rows).append({**_margin_row(one), **late, "note": note or "–"})
@@ -490,9 +490,10 @@ def price_chart(cars: Sequence[ChartedCar], *, equal_effort: bool = False) -> Sp
         least, most = (limit(row["y"] for row in named) for limit in (min, max))
         y, low_end = (one.scale(domainMin=least - 0.3 * (most - least)) for one in (y, low_end))
         layers = _against_margin(cars, rows, left_out, line, y, low_end, said)
-        for place, above in enumerate((True, False)):  # in turn: cars of the same price stand close together
+        x = alt.X("margin:Q").scale(domainMin=-0.1 * named[-1]["margin"])  # room for the name of a car without margin
+        for place, above in enumerate((False, True)):  # in turn: cars of the same price stand close together
             text = _of(named[place::2]).mark_text(angle=300, align="left" if above else "right", dx=9 if above else -9)
-            layers.append(text.encode(x="margin:Q", y=y, text="car:N"))
+            layers.append(text.encode(x=x, y=y, text="car:N"))
     return _drawn(layers, 320, "Margin against the price of caution, with 95 % intervals")
 
 

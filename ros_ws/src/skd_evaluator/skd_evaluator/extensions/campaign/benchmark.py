@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.assessment.files.results import read_result
     from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-    from skd_evaluator.report.charts import ChartedCar, coloured, price_chart, save_charts
+    from skd_evaluator.report.charts import PRICE_CAPTION, ChartedCar, coloured, price_chart, save_charts
 
     done = run_combinations(read_campaign(FILE, [_entry(car) for car in arguments.cars]), arguments)
     if done is None:
@@ -61,8 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(out / RESULT, content)
     (out / PAGE).write_text(page, encoding="utf-8")
     cars = coloured([ChartedCar(str(one.figures["car"]), one.figures) for one in results])
-    title = "Margin against the price of caution. Grey: the best margin for each price"
-    save_charts(out / PICTURE, [price_chart(cars, equal_effort=True)], title)
+    save_charts(out / PICTURE, [price_chart(cars)], PRICE_CAPTION)
     failures = [f"{row['name']}: {line}" for row in campaign["cells"] for line in row["problems"]]
     warnings = [f"{row['name']}: {line}" for row in campaign["cells"] for line in row["warnings"]]
     return finish(arguments, content, lambda: print(f"{page}\nresults in {out}"), warnings, failures)
