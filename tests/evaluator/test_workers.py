@@ -148,6 +148,26 @@ def test_an_end_in_the_midst_of_work_is_quick_and_silent():
     assert not done.stderr
 
 
+def test_all_who_wait_for_work_learn_that_the_workers_were_ended():
+    runner = InProcessRunner(1, isolated=True)
+    runner.start()
+    ended = []
+
+    def ask():
+        with pytest.raises((AssessmentError, OutOfReachError)):
+            list(runner.map(time.sleep, [600.0] * 4))
+        ended.append(True)
+
+    asking = [threading.Thread(target=ask, daemon=True) for _ in range(4)]
+    for thread in asking:
+        thread.start()
+    time.sleep(1.0)
+    runner.close(wait=False)
+    for thread in asking:
+        thread.join(10.0)
+    assert len(ended) == 4
+
+
 def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     number = tmp_path / "number"
     if (parent := os.fork()) == 0:

@@ -271,7 +271,8 @@ class Workers(ABC):
     ) -> Iterator[Any]:
         """Yield the results of a chunk, once they are there."""
         try:
-            while not wait_for([future], _POLL).done:
+            while not future.done():  # `wait` does not see that one is cancelled
+                wait_for([future], _POLL)
                 self._check()
             done = self._unpacked(future.result())
         except CancelledError:
