@@ -17,9 +17,9 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Future, InvalidStateError, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from types import TracebackType
@@ -349,10 +349,9 @@ class InProcessRunner(Workers):
             pool, self._pool = self._pool, None
         if pool is None:
             return
-        if wait:
-            pool.shutdown(cancel_futures=True)
-        else:
+        if not wait:
             _end(pool)
+        pool.shutdown(cancel_futures=True)
         end_children()
 
     def _expect(self, episodes: Sequence[EpisodeSpec]) -> None:
@@ -370,10 +369,12 @@ class InProcessRunner(Workers):
             if self._pool is None:
                 raise AssessmentError("the workers have ended")
             try:
-                return self._pool.submit(do, work, items)
+                future = self._pool.submit(do, work, items)
             except BrokenExecutor:
                 self._pool = self._forked()
-                return self._pool.submit(do, work, items)
+                future = self._pool.submit(do, work, items)
+        vars(future)["set_exception"] = partial(_fail, future)
+        return future
 
     def _again(
         self, work: Callable[[Any], Any], items: Sequence[Any], lost: Callable[[Any, str], Any], error: Exception
@@ -396,16 +397,16 @@ class InProcessRunner(Workers):
                 return
 
 
+def _fail(future: Future[Any], error: BaseException) -> None:
+    """Give a future its exception, unless it was cancelled: a pool whose workers have died would end at its error."""
+    with suppress(InvalidStateError):
+        Future.set_exception(future, error)
+
+
 def _end(pool: ProcessPoolExecutor) -> None:
     """End the workers of a pool, whatever they are at."""
-    processes, manager = list((pool._processes or {}).values()), vars(pool)["_executor_manager_thread"]
-    # First the pool drops what has not begun: if it found its workers dead, its thread would end with InvalidStateError
-    # at work that was cancelled, and Python would wait at its end for a pipe that nobody reads.
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
+    for process in list((pool._processes or {}).values()):
         process.terminate()
-    if manager is not None:
-        manager.join()
 
 
 def _begin(parent: int, answer_limit: float) -> None:
