@@ -198,6 +198,10 @@ class Counting(Honest):
 class Stands(Honest):
     def command(self, car, adversary):
         return -3.0
+
+class SteersInDegrees(Honest):
+    def command(self, car, adversary):
+        return 0.0, 20.0
 """
 
 
@@ -219,6 +223,7 @@ SMALL = (
         ("Honest", []),
         ("Counting", ["episodes ended differently in another order"]),
         ("Stands", ["undisturbed, some_cars:Stands slows from"]),
+        ("SteersInDegrees", ["undisturbed, some_cars:SteersInDegrees leaves the road in 5 of 5 drives"]),
     ],
 )
 def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str, said: list[str]) -> None:

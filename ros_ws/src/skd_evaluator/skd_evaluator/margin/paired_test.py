@@ -157,7 +157,7 @@ class PairedTest:
             raise UsageError(
                 f"{bad.name} is not shown to be worse than {good.name} in {used} trials (e-value "
                 f"{e_values(differences).max():.3g}, {self.level:.3g} is needed): their margins differ by "
-                f"{differences.mean():.3f} m; more --safe-count find less"
+                f"{differences.mean():.3f} m; a smaller difference takes more --safe-count"
             )
         self.known["trials"] = used
         for version, word in zip(self._ends, (GOOD, BAD), strict=True):

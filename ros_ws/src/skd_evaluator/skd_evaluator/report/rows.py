@@ -87,9 +87,7 @@ def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> list[Figure
             "plain": _equivalent_interval(style, figures, THESE_PHI),
             "basis": _equivalent_basis(figures),
         },
-        "nominal_collision_rate": {
-            "basis": f"{formats.counted(figures['collision_runs'], 'run')} over {phis}, along φ"
-        },
+        "nominal_collision_rate": {"basis": f"{runs} over {phis}, along φ"},
         "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else ""},
         "deviation": {
             "basis": f"{f'adversary model: {model}; ' if model else ''}{formats.counted(ranking['trials'], 'trial')} "

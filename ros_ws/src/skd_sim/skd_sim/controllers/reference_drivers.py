@@ -461,5 +461,5 @@ class KraussDriver(IdmDriver):
         lead = max(0.0, speed - approach)
         left = gap - self.STANDING_GAP - lead * self.REACTION
         safe = lead + left / ((speed + lead) / (2.0 * self.BRAKING) + self.REACTION) if gap < math.inf else gap
-        wanted = max(0.0, min(safe, self._desired))
-        return min(self.ACCELERATION, max(-self.EMERGENCY, (wanted - speed) / PERIOD))
+        target = max(0.0, min(safe, self._desired))
+        return min(self.ACCELERATION, max(-self.EMERGENCY, (target - speed) / PERIOD))

@@ -30,7 +30,13 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
-from skd_evaluator.assessment.episode_figures import DRIVES_NOT, missed_periods, standing
+from skd_evaluator.assessment.episode_figures import (
+    DRIVES_NOT,
+    ROAD_EDGE,
+    collision_partner,
+    missed_periods,
+    standing,
+)
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
@@ -150,15 +156,17 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
 
 
 class Drive(NamedTuple):
-    """Speeds of a car that drove with no road user near.
+    """How a car drove with no road user near.
 
     Attributes:
         first: speed at the beginning, m/s.
         last: speed at the end, m/s.
+        leaves: whether the car left the road.
     """
 
     first: float
     last: float
+    leaves: bool
 
     @property
     def slows(self) -> bool:
@@ -185,29 +193,34 @@ def _drives(plan: Plan, runner: Runner, along: float) -> list[Drive]:
     for log in runner.run([_undisturbed(plan, number, along) for number in range(DRIVES)]):
         if log.outcome == Outcome.ABORTED:
             raise AssessmentError(log.reason)
-        found.append(Drive(*log.car[[0, -1], 3].tolist()))
+        first, last = log.car[[0, -1], 3].tolist()
+        found.append(Drive(first, last, collision_partner(log) == ROAD_EDGE))
     return sorted(found, key=lambda drive: drive.last)
 
 
 def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
-    """Return in a line that a car slows down with no road user near; empty if it drives.
+    """Return, a line each, that a car leaves the road or slows down with no road user near; empty if it drives.
 
-    The line begins with `NOT_CREDIBLE` where most of the drives end slower than a hit begins, or the car fails.
+    A line begins with `NOT_CREDIBLE` where most of the drives leave the road or end slower than a hit begins, or where
+    the car fails.
     """
     try:
         drives = undisturbed_drives(plan, runner)
     except AssessmentError as error:
         return (f"{NOT_CREDIBLE}{UNDISTURBED}{plan.car.label} failed: {error}",)
-    slow = [drive for drive in drives if drive.slows]
-    if not slow:
-        return ()
-    first, last = slow[len(slow) // 2]
-    drive = f"{len(slow)} of {len(drives)} drives of {_SECONDS:g} s"
-    line = f"{UNDISTURBED}{plan.car.label} slows from {first:.1f} to {last:.1f} m/s in {drive}"
-    least = plan.scenario.collision.hit_speed
-    if statistics.median(drive.last for drive in drives) < least:
-        return (f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {DRIVES_NOT}",)
-    return (f"{line}: how far people may deviate, and how seldom they are hit, is due to that, too",)
+    found, of_how_many = [], f"of {len(drives)} drives of {_SECONDS:g} s"
+    if left := sum(drive.leaves for drive in drives):
+        begin = NOT_CREDIBLE if 2 * left > len(drives) else ""
+        found.append(f"{begin}{UNDISTURBED}{plan.car.label} leaves the road in {left} {of_how_many}; angles are in rad")
+    if slow := [drive for drive in drives if drive.slows]:
+        first, last, _ = slow[len(slow) // 2]
+        line = f"{UNDISTURBED}{plan.car.label} slows from {first:.1f} to {last:.1f} m/s in {len(slow)} {of_how_many}"
+        least = plan.scenario.collision.hit_speed
+        if statistics.median(drive.last for drive in drives) < least:
+            found.append(f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {DRIVES_NOT}")
+        else:
+            found.append(f"{line}: how far people may deviate, and how seldom they are hit, is due to that, too")
+    return tuple(found)
 
 
 def _undisturbed(plan: Plan, number: int, along: float) -> EpisodeSpec:

@@ -158,7 +158,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
         "warnings": list(dict.fromkeys(warnings)),
     }
     if arguments.rev:  # each was rated elsewhere, and will be there
-        content = json.loads(json.dumps(content).replace(str(results[0].folder.parent), str(out.path)))
+        there, here = (json.dumps(str(one))[1:-1] for one in (results[0].folder.parent, out.path))
+        content = json.loads(json.dumps(content).replace(there, here))
 
     def show() -> None:
         print_table(comparison_table(rows, ranked_by))

@@ -341,10 +341,8 @@ class Campaign:
         """Close the store; delete it where all cells are done."""
         if self._store is None:
             return
-        with (
-            self._lock,
-            suppress(OSError, episode_store.StoreError),
-        ):  # after an error, which then is what is to be said
+        # After an error, which then is what is to be said.
+        with self._lock, suppress(OSError, episode_store.StoreError):
             self._save()
         if all(row["state"] == DONE for row in self.rows) and not self._unsaved:
             self._store.remove()

@@ -322,9 +322,9 @@ def overruled(trials: Sequence[PhysicalTrial]) -> list[str]:
     if not other:
         return []
     seen = sum(bool(one.seen_hit) for one in trials)
-    lines = f"in {len(other)} of {len(trials)} trials the car hits in the recording and not in the table"
+    often = f"in {len(other)} of {len(trials)} trials the car hits in the recording and not in the table"
     depth = f"less than {_NOISE:g} m deep, which may be noise: the table counts"
-    return [f"{lines}, {depth}; by the recordings it hits in {seen} (first: {other[0].where})"]
+    return [f"{often}, {depth}; by the recordings it hits in {seen} (first: {other[0].where})"]
 
 
 def _first_contact(scene: Interaction, depth: float) -> int | None:

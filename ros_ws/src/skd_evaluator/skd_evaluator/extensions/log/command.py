@@ -77,13 +77,14 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.extensions.log.conflicts import ConflictRequest, conflicts_in
     from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, read_drives
     from skd_evaluator.extensions.log.margins import CAMPAIGN, export, with_margins
+    from skd_evaluator.report.formats import counted
     from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.version import version
 
     damage, scenario = Damage(skip=True), load_scenario(arguments.scenario)
     if arguments.controller is not None:  # which may declare a control period
         scenario = check_car(vars(arguments), scenario, graph=False)
-    gap, known = arguments.longest_gap, 0
+    gap, users, seconds = arguments.longest_gap, 0, 0.0
     request = ConflictRequest(scenario, arguments.within, arguments.reaction, gap, arguments.reference)
     drives = DriveRequest(arguments.car, arguments.map_frame, arguments.tf_topic, gap)
     out = result_folder(arguments)
@@ -93,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         runner.start()
         for number, drive in enumerate(read_drives(arguments.paths, drives, damage), start=1):
             if isinstance(drive, RecordedDrive):
-                known += 1
+                users, seconds = users + len(drive.users), seconds + float(drive.car.times[-1] - drive.car.times[0])
                 found += conflicts_in(drive, request)
                 left_out += [(f"{drive.name}, {name}", why) for name, why in drive.left_out]
             else:
@@ -122,19 +123,20 @@ def run(arguments: argparse.Namespace) -> int:
     problem = out.save(write)
 
     def show() -> None:
-        if known:
-            _print(rows, arguments.controller)
+        if seconds:
+            read = f"{counted(users, 'road user')} in {seconds:.0f} s"
+            _print(rows, read, arguments.controller or "no car under test")
         if not problem:
             print(f"results in {out.path}")
         if worst and not problem:
             print(f"next: skd campaign {out.path / CAMPAIGN}")
 
     warnings = [*damage.lines, *(f"{what}: left out: {why}" for what, why in left_out)]
-    return finish(arguments, content, show, warnings, [problem, None if known else "no recording could be read"])
+    return finish(arguments, content, show, warnings, [problem, None if seconds else "no recording could be read"])
 
 
-def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
-    """Print the conflicts, the worst first, and why some were not driven again."""
+def _print(rows: Sequence[Mapping[str, Any]], read: str, car: str) -> None:
+    """Print the conflicts among what was read, the worst first, and why some were not driven again."""
     from rich.markup import escape
 
     from skd_evaluator.extensions.log.conflicts import short_name
@@ -142,12 +144,13 @@ def _print(rows: Sequence[Mapping[str, Any]], car: str | None) -> None:
     from skd_evaluator.report.terminal import narrow_table, print_table
 
     again = sum(not row["why"] for row in rows)
-    title = f"{counted(len(rows), 'conflict')}, of which {again} can be driven again; {car or 'no car under test'}"
+    title = f"{counted(len(rows), 'conflict')} with {read}, of which {again} can be driven again; {car}"
     heads = ("drive", "road user", "at (s)", "m/s", "margin (m)", "impact (m/s)", "recorded (m)", "bounds (m)")
     cells = []
     for row in rows[:_SHOWN]:
         speed, impact = ("" if (one := row[key]) is None else f"{one:.1f}" for key in ("speed", "impact_speed"))
-        margin = "" if row["margin"] is None else f"{'' if row['exact'] else 'at most '}{row['margin']:.2f}"
+        bound = "at most " if row["margin"] and not row["exact"] else ""
+        margin = "" if row["margin"] is None else f"{bound}{row['margin']:.2f}"
         drive, user, why = (escape(one) for one in (row["drive"], short_name(row["user"]), row["why"]))
         recorded, bounds = f"{row['recorded']:.2f}", f"{row['least']:.2f} to {row['most']:.2f}"
         cells.append([drive, user, f"{row['nearest']:.2f}", speed, margin, impact, recorded, bounds, why])
