@@ -99,8 +99,9 @@ def test_bad_text_is_one_line(text: str, said: str):
 
 def test_the_command_line_is_made_of_the_table(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(cli, "options_of", lambda _table: options_of(More))
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    cli.add_options(parser, "assess")
+    parser = cli.Parser(exit_on_error=False)
+    parser.set_defaults(command="assess")
+    parser.add_options()
     found = vars(parser.parse_args(["--depth", "9", "--bold"]))
     assert (found["depth"], found["bold"], found["pace"], found["word"]) == (9, True, None, "calm")
     for bad in (["--depth", "91"], ["--pace", "0"], ["--pace", "nan"], ["--objective", "fame"]):

@@ -1,24 +1,21 @@
-"""Arguments that several commands share, made from the tables of options. Light: help reads it."""
+"""The parser of a command, with the options that several share, and what they make of them. Light: help reads it."""
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.options.options import RARE, Option, options_of, read_options, values_of
 
-from skd_evaluator.assessment.options import (
-    MAXIMUM_ABORTED,
-    MOST_WORKERS,
-    AssessmentOptions,
-    CampaignOptions,
-    GraphOptions,
-)
-from skd_evaluator.cli.parser import rare
+from skd_evaluator.assessment import options
+from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
+from skd_evaluator.cli.output import EXIT_USAGE
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.result_folder import ResultFolder
@@ -105,59 +102,207 @@ def command_line(text: str) -> str:
     return text
 
 
-def add_value(group: argparse._ActionsContainer, name: str, text: str, **rest: Any) -> None:
-    """Add an option or an argument, as `add_argument` does; the help says its default, if it has one."""
-    if text != argparse.SUPPRESS and rest.get("default") not in (None, ()) and "default:" not in text:
-        text += " (default: %(default)s)"
-    group.add_argument(name, help=text, **rest)
+class Options(argparse._ActionsContainer):
+    """What options are added to: the parser of a command, or a group of its options."""
+
+    def add_argument_group(self, *words: Any, **rest: Any) -> OptionGroup:
+        """Add a group of options under a heading."""
+        self._action_groups.append(group := OptionGroup(self, *words, **rest))
+        return group
+
+    def add_mutually_exclusive_group(self, **rest: Any) -> ExclusiveOptions:
+        """Add a group of options of which one may be given."""
+        self._mutually_exclusive_groups.append(group := ExclusiveOptions(self, **rest))
+        return group
+
+    def add_value(self, name: str, text: str, **rest: Any) -> None:
+        """Add an option or an argument, as `add_argument` does; the help says its default, if it has one."""
+        if text != argparse.SUPPRESS and rest.get("default") not in (None, ()) and "default:" not in text:
+            text += " (default: %(default)s)"
+        self.add_argument(name, help=text, **rest)
+
+    def add_count(self, flag: str, low: int, high: int, text: str, *, default: int | None = None) -> None:
+        """Add a whole number from `low` to `high`; the help says its default, if it has one."""
+        self.add_value(flag, text, type=whole_number(low, high), default=default, metavar="N")
+
+    def add_flag(self, flag: str, text: str) -> None:
+        """Add an option that is given or not; one that begins with --no- stores False under the rest of its name."""
+        if flag.startswith("--no-"):
+            self.add_argument(flag, dest=flag[5:].replace("-", "_"), action="store_false", help=text)
+        else:
+            self.add_argument(flag, action="store_true", help=text)
+
+    def add_paths(self, name: str, metavar: str, text: str, **rest: Any) -> None:
+        """Add files or folders, one or more of them."""
+        self.add_argument(name, type=Path, **{"nargs": "+", **rest}, metavar=metavar, help=text)
+
+    def add_options(
+        self,
+        title: str = "",
+        table: Callable[..., Any] = CampaignOptions,
+        hidden: Sequence[str] = (),
+        **changes: Mapping[str, Any],
+    ) -> None:
+        """Add the options of a table that the command takes.
+
+        Args:
+            title: add only the options of the group with this title; all by default.
+            table: the dataclass whose fields are the options.
+            hidden: names of options that are rare for this command.
+            changes: other arguments for `add_argument`, by name of the option.
+        """
+        known: dict[str, tuple[Option, Callable[..., Any]]] = self._defaults.setdefault("parameters", {})
+        for one in options_of(table):
+            if self._defaults["command"] in one.commands and title in ("", one.group):
+                known[one.name] = (one, table)
+                found = {**_argument(one), **changes.get(one.name, {})}
+                if RARE in one.marks or one.name in hidden:
+                    found["help"] = rare(found["help"])
+                self.add_argument(one.flag, **found)
+
+    def add_workers(self) -> None:
+        """Add --workers."""
+        self.add_count(
+            "--workers", 1, options.MOST_WORKERS, "how many processes run the episodes (default: one per core)"
+        )
+
+    def add_runner(self) -> None:
+        """Add the options that say where episodes run in process."""
+        where = self.add_mutually_exclusive_group()
+        where.add_workers()
+        text = "address of a Dask cluster that runs the episodes, such as tcp://host:8786 (docs/campaigns.md)"
+        where.add_value("--scheduler", rare(text), metavar="ADDRESS")
+
+    def add_max_aborted(self) -> None:
+        """Add --max-aborted."""
+        text = rare("how many episodes of any figure may be aborted before the exit code is 1, %% (default: 5)")
+        self.add_value("--max-aborted", text, type=percentage, default=options.MAXIMUM_ABORTED, metavar="PERCENT")
+
+    def add_skip_damaged(self) -> None:
+        """Add --skip-damaged."""
+        text = "leave out and count episodes that are damaged or implausible, instead of refusing all"
+        self.add_flag("--skip-damaged", text)
+
+    def add_loudness(self) -> None:
+        """Add -v and -q."""
+        loudness = self.add_mutually_exclusive_group()
+        verbose = rare("show where in SKD an error comes from")
+        loudness.add_argument("-v", "--verbose", action="store_true", help=verbose)
+        loudness.add_argument("-q", "--quiet", action="store_true", help=rare("print no tables and no progress"))
 
 
-def add_count(
-    group: argparse._ActionsContainer, flag: str, low: int, high: int, text: str, *, default: int | None = None
-) -> None:
-    """Add a whole number from `low` to `high`; the help says its default, if it has one."""
-    add_value(group, flag, text, type=whole_number(low, high), default=default, metavar="N")
+class OptionGroup(Options, argparse._ArgumentGroup):
+    """Options under a heading of the help."""
 
 
-def add_flag(group: argparse._ActionsContainer, flag: str, text: str) -> None:
-    """Add an option that is given or not; one that begins with --no- stores False under the rest of its name."""
-    if flag.startswith("--no-"):
-        group.add_argument(flag, dest=flag[5:].replace("-", "_"), action="store_false", help=text)
-    else:
-        group.add_argument(flag, action="store_true", help=text)
+class ExclusiveOptions(Options, argparse._MutuallyExclusiveGroup):
+    """Options of which one may be given."""
 
 
-def add_paths(group: argparse._ActionsContainer, name: str, metavar: str, text: str, **rest: Any) -> None:
-    """Add files or folders, one or more of them."""
-    group.add_argument(name, type=Path, **{"nargs": "+", **rest}, metavar=metavar, help=text)
+class Parser(Options, argparse.ArgumentParser):
+    """A parser whose errors and usage are one line, and whose help leaves out what is rare.
 
-
-def add_options(
-    group: argparse._ActionsContainer,
-    command: str,
-    title: str = "",
-    table: Callable[..., Any] = CampaignOptions,
-    hidden: Sequence[str] = (),
-    **changes: Mapping[str, Any],
-) -> None:
-    """Add the options of a table that a command takes.
-
-    Args:
-        group: the parser, or group of one, that gets them.
-        command: name of the command that takes them.
-        title: add only the options of the group with this title; all by default.
-        table: the dataclass whose fields are the options.
-        hidden: names of options that are rare for this command.
-        changes: other arguments for `add_argument`, by name of the option.
+    Attributes:
+        everything: whether the help has all options.
     """
-    known: dict[str, tuple[Option, Callable[..., Any]]] = group._defaults.setdefault("parameters", {})
-    for one in options_of(table):
-        if command in one.commands and title in ("", one.group):
-            known[one.name] = (one, table)
-            found = {**_argument(one), **changes.get(one.name, {})}
-            if RARE in one.marks or one.name in hidden:
-                found["help"] = rare(found["help"])
-            group.add_argument(one.flag, **found)
+
+    everything = False
+
+    def __init__(self, **rest: Any) -> None:
+        """Make a parser that takes no option by its beginning alone: a later version may have two of them."""
+        super().__init__(**{**rest, "allow_abbrev": False})
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with the message."""
+        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+    def format_help(self) -> str:
+        """Return the help, with a short usage, and how many options it leaves out."""
+        self.usage = " ".join([self.prog, *filter(None, map(_usage, self._actions)), "[options]"])
+        hidden = sum(
+            one.help is argparse.SUPPRESS and not isinstance(one, argparse._HelpAction) for one in self._actions
+        )
+        self.epilog = f"--help-all shows {hidden} more option{'s' * (hidden > 1)}." if hidden else None
+        return super().format_help()
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if message and file is not None and file is sys.stdout:
+            file.write(message)  # Python's own drops without a word what the disk does not take
+        else:
+            super()._print_message(message, file)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            if near := did_you_mean(str(value), map(str, action.choices or ())):
+                error.message = f"invalid choice: {value!r}{near}"
+            raise
+
+    def add_car(self, **changes: Any) -> None:
+        """Add the options that say which car meets whom; `changes` as `add_options` takes them."""
+        group = self.add_argument_group(CAR_GROUP)
+        group.add_options(CAR_GROUP, hidden=("simulator", "car_model"), **changes)
+        text = "name or YAML file of the scenario (default: crossing, with CITR data citr_crossing)"
+        group.add_value("--scenario", text, metavar="NAME")
+
+    def add_campaign(self, **changes: Any) -> OptionGroup:
+        """Add what `assess` and `sweep` share, and return the output's group; `changes` as `add_options` takes them."""
+        group = self.add_argument_group("how much is driven")
+        hidden = ("simulations", "objective", "behaviour")
+        group.add_options("campaign", hidden=hidden, **changes)
+        group.add_max_aborted()
+        group.add_options(table=options.AssessmentOptions, hidden=hidden)
+        group.add_runner()
+        self.add_parameters()
+        return self.add_output()
+
+    def add_graph(self, *, optional: bool = True, record: bool = False) -> None:
+        """Add the options of the node graph; with `optional` also --graph, with `record` --record."""
+        group = self.add_argument_group("node graph")
+        if optional:
+            group.add_flag("--graph", "run the episodes through a graph of ROS 2 nodes")
+        if record:
+            group.add_flag("--record", "keep a bag of every episode; needs --graph")
+        hidden = ("pacing",) if optional else ()
+        group.add_options(table=GraphOptions, hidden=hidden, controller_command={"type": command_line})
+
+    def add_parameters(self) -> None:
+        """Add -p and --params-file, as ROS 2 has them, for all options of the command's tables.
+
+        The command line counts more than a file.
+        """
+        self.set_defaults(read_parameters=parameters_of)
+        group = self.add_argument_group("parameters")
+        text = rare("an option by name, as ROS 2 has parameters")
+        group.add_argument("-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help=text)
+        text = rare("YAML file of options by name, also as ROS 2 writes parameters")
+        group.add_value("--params-file", text, type=Path, metavar="FILE")
+
+    def add_output(
+        self, metavar: str = "DIR", text: str = "folder for the results (default: skd_results/<command>-<time>)"
+    ) -> OptionGroup:
+        """Add --out, --overwrite, --json, -v and -q, and return their group."""
+        group = self.add_argument_group("output")
+        group.add_value("--out", text, type=Path, metavar=metavar)
+        group.add_flag("--overwrite", "replace what --out names, if it exists")
+        group.add_flag("--json", "print JSON, and nothing else, on standard output")
+        group.add_loudness()
+        return group
+
+
+def _usage(one: argparse.Action) -> str:
+    """Return how an argument stands in the usage; nothing for what may be left out."""
+    name = str(one.metavar or one.dest.upper())
+    if one.option_strings:
+        return f"{one.option_strings[0]} {name}" if one.required else ""
+    many = f"{name} …" if one.nargs in ("+", "*") else name
+    return f"[{many}]" if one.nargs in ("?", "*") else many
+
+
+def rare(text: str) -> str:
+    """Return the text of an option that only --help-all shows."""
+    return text if Parser.everything else argparse.SUPPRESS
 
 
 def _argument(one: Option) -> dict[str, Any]:
@@ -180,19 +325,6 @@ def described(one: Option) -> str:
     default = one.unsaid
     said = one.unset if default in (None, "") else f"{default:g}" if one.kind is float else str(default)
     return f"{one.text} (default: {said})"
-
-
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Add -p and --params-file, as ROS 2 has them, for all options of the command's tables.
-
-    The command line counts more than a file.
-    """
-    parser.set_defaults(read_parameters=parameters_of)
-    group = parser.add_argument_group("parameters")
-    text = rare("an option by name, as ROS 2 has parameters")
-    group.add_argument("-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help=text)
-    text = rare("YAML file of options by name, also as ROS 2 writes parameters")
-    group.add_argument("--params-file", type=Path, metavar="FILE", help=text)
 
 
 def parameters_of(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -233,31 +365,6 @@ def _read(content: Any, where: str, arguments: argparse.Namespace) -> dict[str, 
     return found
 
 
-def add_campaign_arguments(parser: argparse.ArgumentParser, command: str, **changes: Any) -> argparse._ArgumentGroup:
-    """Add what `assess` and `sweep` share, and return the output's group; `changes` as `add_options` takes them."""
-    group = parser.add_argument_group("how much is driven")
-    hidden = ("simulations", "objective", "behaviour")
-    add_options(group, command, "campaign", hidden=hidden, **changes)
-    add_max_aborted_argument(group)
-    add_options(group, command, table=AssessmentOptions, hidden=hidden)
-    add_runner_arguments(group)
-    add_parameters(parser)
-    return add_output_arguments(parser)
-
-
-def add_workers_argument(group: argparse._ActionsContainer) -> None:
-    """Add --workers."""
-    add_count(group, "--workers", 1, MOST_WORKERS, "how many processes run the episodes (default: one per core)")
-
-
-def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
-    """Add the options that say where episodes run in process."""
-    where = parser.add_mutually_exclusive_group()
-    add_workers_argument(where)
-    text = "address of a Dask cluster that runs the episodes, such as tcp://host:8786 (docs/campaigns.md)"
-    where.add_argument("--scheduler", metavar="ADDRESS", help=rare(text))
-
-
 def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float | None = None) -> Workers:
     """Return what runs the episodes of a command in process, as the options of `add_runner_arguments` say."""
     from skd_sim.controllers.isolated import CALL_LIMIT
@@ -269,63 +376,6 @@ def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_l
     return make_runner(
         getattr(arguments, "scheduler", None), workers, isolated=isolated, answer_limit=answer_limit or CALL_LIMIT
     )
-
-
-def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --max-aborted."""
-    parser.add_argument(
-        "--max-aborted",
-        type=percentage,
-        default=MAXIMUM_ABORTED,
-        metavar="PERCENT",
-        help=rare("how many episodes of any figure may be aborted before the exit code is 1, %% (default: 5)"),
-    )
-
-
-def add_damage_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --skip-damaged."""
-    text = "leave out and count episodes that are damaged or implausible, instead of refusing all"
-    add_flag(parser, "--skip-damaged", text)
-
-
-def add_graph_arguments(
-    parser: argparse.ArgumentParser,
-    command: str,
-    *,
-    optional: bool,
-    record: bool = True,
-    **changes: Mapping[str, Any],
-) -> None:
-    """Add the options of the node graph; with `optional` also --graph, with `record` --record; see `add_options`."""
-    group = parser.add_argument_group("node graph")
-    if optional:
-        add_flag(group, "--graph", "run the episodes through a graph of ROS 2 nodes")
-    if optional and record:
-        add_flag(group, "--record", "keep a bag of every episode; needs --graph")
-    pacing = () if command == "episode" else ("pacing",)
-    add_options(group, command, "", GraphOptions, pacing, controller_command={"type": command_line}, **changes)
-
-
-def add_output_arguments(
-    parser: argparse.ArgumentParser,
-    metavar: str = "DIR",
-    text: str = "folder for the results (default: skd_results/<command>-<time>)",
-) -> argparse._ArgumentGroup:
-    """Add --out, --overwrite, --json, -v and -q, and return their group."""
-    group = parser.add_argument_group("output")
-    group.add_argument("--out", type=Path, metavar=metavar, help=text)
-    add_flag(group, "--overwrite", "replace what --out names, if it exists")
-    add_flag(group, "--json", "print JSON, and nothing else, on standard output")
-    add_loudness(group)
-    return group
-
-
-def add_loudness(group: argparse._ActionsContainer) -> None:
-    """Add -v and -q."""
-    loudness = group.add_mutually_exclusive_group()
-    verbose = "show where in SKD an error comes from"
-    loudness.add_argument("-v", "--verbose", action="store_true", help=rare(verbose))
-    loudness.add_argument("-q", "--quiet", action="store_true", help=rare("print no tables and no progress"))
 
 
 def graph_options(arguments: argparse.Namespace) -> GraphOptions:
@@ -354,11 +404,3 @@ def output_path(arguments: argparse.Namespace) -> Path:
     from skd_evaluator.assessment.from_options import default_folder  # only now: it is slow to import
 
     return default_folder(arguments.command)
-
-
-def add_car_arguments(parser: argparse.ArgumentParser, command: str, **changes: Mapping[str, Any]) -> None:
-    """Add the options that say which car meets whom; `changes` as `add_options` takes them."""
-    group = parser.add_argument_group(CAR_GROUP)
-    add_options(group, command, CAR_GROUP, CampaignOptions, ("simulator", "car_model"), **changes)
-    text = "name or YAML file of the scenario (default: crossing, with CITR data citr_crossing)"
-    group.add_argument("--scenario", metavar="NAME", help=text)

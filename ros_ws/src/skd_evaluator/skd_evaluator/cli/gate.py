@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, real_path
 
-from skd_evaluator.cli.parser import rare
+from skd_evaluator.cli.arguments import rare
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import check_file, write_file
 

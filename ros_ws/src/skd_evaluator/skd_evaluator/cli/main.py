@@ -16,8 +16,8 @@ from pathlib import Path
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 
-from skd_evaluator.cli.output import give_up, keep_for_json
-from skd_evaluator.cli.parser import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, make_parser, parse
+from skd_evaluator.cli.output import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, give_up, keep_for_json
+from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import begin_command, what_is_in_place
 

@@ -11,6 +11,8 @@ from typing import IO, Any
 
 from skd_sim.inputs.files import one_line
 
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
 
 class _Standard:
     """The program's standard output, where only JSON may go to it.

@@ -7,76 +7,21 @@ import importlib
 import inspect
 import pkgutil
 import re
-import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean
 from skd_sim.options.registry import Registry
 
 from skd_evaluator.cli import commands as own
+from skd_evaluator.cli.arguments import Parser, rare
+from skd_evaluator.cli.output import EXIT_USAGE
 
 COMMANDS = "skd.commands"
 """Group of entry points of further commands: functions as `add` in `cli/commands`, each in a module with a `run`."""
 GROUPS = ("rate", "look", "compare and gate", "exchange", "research", "of installed packages")
 """Headings of the help, in order; a command that names none of its own stands under the last."""
-EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser whose errors and usage are one line, and whose help leaves out what is rare.
-
-    Attributes:
-        everything: whether the help has all options.
-    """
-
-    everything = False
-
-    def __init__(self, **rest: Any) -> None:
-        """Make a parser that takes no option by its beginning alone: a later version may have two of them."""
-        super().__init__(**{**rest, "allow_abbrev": False})
-
-    def error(self, message: str) -> NoReturn:
-        """Leave with the message."""
-        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
-
-    def format_help(self) -> str:
-        """Return the help, with a short usage, and how many options it leaves out."""
-        self.usage = " ".join([self.prog, *filter(None, map(_usage, self._actions)), "[options]"])
-        hidden = sum(
-            one.help is argparse.SUPPRESS and not isinstance(one, argparse._HelpAction) for one in self._actions
-        )
-        self.epilog = f"--help-all shows {hidden} more option{'s' * (hidden > 1)}." if hidden else None
-        return super().format_help()
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        if message and file is not None and file is sys.stdout:
-            file.write(message)  # Python's own drops without a word what the disk does not take
-        else:
-            super()._print_message(message, file)
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        try:
-            super()._check_value(action, value)
-        except argparse.ArgumentError as error:
-            if near := did_you_mean(str(value), map(str, action.choices or ())):
-                error.message = f"invalid choice: {value!r}{near}"
-            raise
-
-
-def _usage(one: argparse.Action) -> str:
-    """Return how an argument stands in the usage; nothing for what may be left out."""
-    name = str(one.metavar or one.dest.upper())
-    if one.option_strings:
-        return f"{one.option_strings[0]} {name}" if one.required else ""
-    many = f"{name} …" if one.nargs in ("+", "*") else name
-    return f"[{many}]" if one.nargs in ("?", "*") else many
-
-
-def rare(text: str) -> str:
-    """Return the text of an option that only --help-all shows."""
-    return text if Parser.everything else argparse.SUPPRESS
 
 
 def _add(commands: Any, name: str, add: Callable[[Parser], None]) -> None:
@@ -85,7 +30,7 @@ def _add(commands: Any, name: str, add: Callable[[Parser], None]) -> None:
     text = " ".join(rest.split()) or first
     said = (first[:1].lower() + first[1:]).removesuffix(".")
     found: Parser = commands.add_parser(name, help=said.replace("%", "%%"), description=text)
-    found.set_defaults(module=add.__module__)
+    found.set_defaults(module=add.__module__, command=name)
     add(found)
 
 

@@ -20,20 +20,17 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.cli.arguments import (
     DETAILS,
-    add_campaign_arguments,
-    add_car_arguments,
-    add_flag,
-    add_graph_arguments,
-    add_value,
+    Parser,
     graph_options,
     parameters_of,
     positive_number,
+    rare,
     result_folder,
     runner_of,
 )
 from skd_evaluator.cli.gate import Gate, add_gate_arguments, gate_of
-from skd_evaluator.cli.output import print_json, say
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser, make_parser, parse, rare
+from skd_evaluator.cli.output import EXIT_INTERRUPTED, print_json, say
+from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import UNFINISHED
 
@@ -53,17 +50,17 @@ def add(parser: Parser) -> None:
     Safe-Kamikaze Distance (SKD).
     """
     parser.set_defaults(group="rate")
-    add_car_arguments(parser, "assess")
-    add_graph_arguments(parser, "assess", optional=True)
-    output = add_campaign_arguments(parser, "assess")
+    parser.add_car()
+    parser.add_graph(record=True)
+    output = parser.add_campaign()
     add_gate_arguments(parser)
     text = "go on with the interrupted assessment in DIR, or in --out; its options need not be repeated"
     output.add_argument("--resume", nargs="?", const="", metavar="DIR", help=text)
     parser.set_defaults(read_parameters=_given_elsewhere)
-    add_flag(output, "--details", DETAILS)
-    add_flag(output, "--no-pictures", rare("draw no pictures, which saves about a second"))
+    output.add_flag("--details", DETAILS)
+    output.add_flag("--no-pictures", rare("draw no pictures, which saves about a second"))
     text = "add --safe-count trajectories at a time, at most 10 times, until the planned deviation's interval is W wide"
-    add_value(parser, "--until-width", rare(text), type=positive_number, metavar="W")
+    parser.add_value("--until-width", rare(text), type=positive_number, metavar="W")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -12,15 +12,8 @@ from typing import TYPE_CHECKING
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment.options import OWN
-from skd_evaluator.cli.arguments import (
-    add_flag,
-    add_output_arguments,
-    add_workers_argument,
-    result_folder,
-    runner_of,
-)
+from skd_evaluator.cli.arguments import Parser, result_folder, runner_of
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import Parser
 from skd_evaluator.errors import AssessmentError
 
 if TYPE_CHECKING:
@@ -51,9 +44,9 @@ def add(parser: Parser) -> None:
     parser.add_argument("good", metavar="GOOD", help="a git revision of which the car is good")
     parser.add_argument("bad", metavar="BAD", help="a later one of which it is worse")
     text = "judge the commit that is checked out, for git bisect run: exit code 0 good, 1 bad, 125 not known"
-    add_flag(parser, "--here", text)
-    add_workers_argument(parser)
-    add_output_arguments(parser)
+    parser.add_flag("--here", text)
+    parser.add_workers()
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -13,19 +13,9 @@ from typing import TYPE_CHECKING, Any
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import ControllerName
 
-from skd_evaluator.cli.arguments import (
-    add_count,
-    add_flag,
-    add_output_arguments,
-    add_paths,
-    add_value,
-    positive_number,
-    real_number,
-    result_folder,
-)
+from skd_evaluator.cli.arguments import Parser, positive_number, rare, real_number, result_folder
 from skd_evaluator.cli.gate import add_limits, limit_failures, limits_of
 from skd_evaluator.cli.output import finish, is_read
-from skd_evaluator.cli.parser import Parser, rare
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.results import StoredResult
@@ -41,28 +31,25 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="compare and gate", words=[])
     text = "folder of an assessment, a campaign, or one above some; the others are compared with the first"
-    add_paths(parser, "paths", "DIR", text, nargs="*")
+    parser.add_paths("paths", "DIR", text, nargs="*")
     text = "find the smallest trial in which only one of two cars hits, and write it as scenario, test and pictures"
-    add_flag(parser, "--explain", text)
+    parser.add_flag("--explain", text)
     text = "rate the car of two git revisions and compare these; after -- follow options of skd assess"
-    add_value(parser, "--rev", text, nargs=2, metavar=("A", "B"), default=())
-    add_flag(parser, "--no-pictures", rare("draw no pictures, which saves about half a second"))
+    parser.add_value("--rev", text, nargs=2, metavar=("A", "B"), default=())
+    parser.add_flag("--no-pictures", rare("draw no pictures, which saves about half a second"))
     size = parser.add_argument_group("how many trajectories")
     goal = size.add_mutually_exclusive_group()
     text = "until the 95 %% interval is this wide, in the figure's unit: m, or a share of runs"
-    add_value(goal, "--width", text, type=positive_number, metavar="W")
-    add_value(
-        goal, "--difference", "until this difference between two cars is found, m", type=positive_number, metavar="D"
-    )
+    goal.add_value("--width", text, type=positive_number, metavar="W")
+    text = "until this difference between two cars is found, m"
+    goal.add_value("--difference", text, type=positive_number, metavar="D")
     text = "probability with which the difference is found"
-    add_value(size, "--power", text, type=real_number(0.06, 0.9999), default=0.8, metavar="P")
-    add_flag(size, "--unpaired", "the two cars are rated on different safe trajectories")
-    add_value(
-        size, "--figure", "which figure", choices=("margin", "deviation", "skd", "contact_rate"), default="margin"
-    )
-    add_count(size, "--kamikaze-count", 2, 1_000_000, "only with this many kamikazes for each φ")
+    size.add_value("--power", text, type=real_number(0.06, 0.9999), default=0.8, metavar="P")
+    size.add_flag("--unpaired", "the two cars are rated on different safe trajectories")
+    size.add_value("--figure", "which figure", choices=("margin", "deviation", "skd", "contact_rate"), default="margin")
+    size.add_count("--kamikaze-count", 2, 1_000_000, "only with this many kamikazes for each φ")
     add_limits(parser)
-    add_output_arguments(parser)
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

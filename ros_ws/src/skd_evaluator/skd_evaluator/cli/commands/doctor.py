@@ -20,9 +20,8 @@ from skd_sim.ros_environment.installation import is_ready
 from skd_sim.ros_environment.variables import is_sourced, node_variables
 from skd_sim.start import PACKAGES, environment, installing
 
-from skd_evaluator.cli.arguments import add_flag
+from skd_evaluator.cli.arguments import Parser
 from skd_evaluator.cli.output import print_json, say
-from skd_evaluator.cli.parser import Parser
 from skd_evaluator.version import version
 
 FINE, ABSENT, BROKEN = "fine", "absent", "broken"
@@ -63,8 +62,8 @@ def add(parser: Parser) -> None:
     code is 1 where something does not work.
     """
     parser.set_defaults(group="look")
-    add_flag(parser, "--no-round-trip", "start no nodes: look at files alone")
-    add_flag(parser, "--json", "print JSON instead of lines")
+    parser.add_flag("--no-round-trip", "start no nodes: look at files alone")
+    parser.add_flag("--json", "print JSON instead of lines")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -15,17 +15,8 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 
 from skd_evaluator.assessment.options import GENERATED, SYNTHETIC, CampaignOptions, GraphOptions
-from skd_evaluator.cli.arguments import (
-    add_car_arguments,
-    add_count,
-    add_flag,
-    add_graph_arguments,
-    add_loudness,
-    add_options,
-    add_parameters,
-)
+from skd_evaluator.cli.arguments import Parser
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import Parser
 from skd_evaluator.errors import AssessmentError
 
 if TYPE_CHECKING:
@@ -48,16 +39,16 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="rate")
     followed = "follow safe trajectories φ instead of the keys; as skd assess takes them (default: it goes by keys)"
-    add_car_arguments(parser, "drive", safe={"default": None, "help": followed})
-    add_count(parser, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, counted from 0 (default: 0)")
+    parser.add_car(safe={"default": None, "help": followed})
+    parser.add_count("--safe-number", 0, 65_534, "with --safe, by which φ to begin, counted from 0 (default: 0)")
     ticks = "end each episode after at most this many ticks, mostly of 0.3 s (default: as the scenario says)"
-    add_count(parser, "--ticks", 1, 100_000, ticks)
-    add_options(parser, "drive", "campaign")
-    add_graph_arguments(parser, "drive", optional=True, record=False)
-    add_parameters(parser)
+    parser.add_count("--ticks", 1, 100_000, ticks)
+    parser.add_options("campaign")
+    parser.add_graph()
+    parser.add_parameters()
     group = parser.add_argument_group("output")
-    add_flag(group, "--json", "print how each episode ended as JSON, and no picture")
-    add_loudness(group)
+    group.add_flag("--json", "print how each episode ended as JSON, and no picture")
+    group.add_loudness()
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,20 +10,8 @@ from skd_sim.errors import UsageError
 from skd_sim.options.adversary import OBJECTIVES
 
 from skd_evaluator.assessment.options import AssessmentOptions, CampaignOptions
-from skd_evaluator.cli.arguments import (
-    add_car_arguments,
-    add_count,
-    add_graph_arguments,
-    add_options,
-    add_output_arguments,
-    add_parameters,
-    add_value,
-    graph_options,
-    positive_number,
-    result_folder,
-)
+from skd_evaluator.cli.arguments import Parser, graph_options, positive_number, rare, result_folder
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import Parser, rare
 
 
 def add(parser: Parser) -> None:
@@ -32,13 +20,13 @@ def add(parser: Parser) -> None:
     Run one episode through the node graph and record it as a bag.
     """
     parser.set_defaults(group="rate")
-    add_car_arguments(parser, "episode")
+    parser.add_car()
     text = "the adversary crosses safely, is hit, follows φ, or walks φ with natural variation"
-    add_value(parser, "--mode", text, choices=("safe", "kamikaze", "replay", "risk"), default="kamikaze")
-    add_options(parser, "episode", table=AssessmentOptions, hidden=("behaviour",))
+    parser.add_value("--mode", text, choices=("safe", "kamikaze", "replay", "risk"), default="kamikaze")
+    parser.add_options(table=AssessmentOptions, hidden=("behaviour",))
     text = rare("with --mode risk, by what the deviations of people are multiplied (default: 1)")
-    add_value(parser, "--scale", text, type=positive_number, default=1.0, metavar="S")
-    add_count(parser, "--trial", 0, 2**63 - 1, "which trial of the assessment to repeat, from 0", default=0)
+    parser.add_value("--scale", text, type=positive_number, default=1.0, metavar="S")
+    parser.add_count("--trial", 0, 2**63 - 1, "which trial of the assessment to repeat, from 0", default=0)
     # A single episode has one objective, and one φ: that of a campaign with as many.
     single = {
         "default": str(CampaignOptions.objective),
@@ -46,13 +34,13 @@ def add(parser: Parser) -> None:
         "metavar": "NAME",
         "help": "what the kamikaze is rewarded for: deviation, paper or frechet (default: %(default)s)",
     }
-    add_options(parser, "episode", "campaign", hidden=("simulations",), objective=single)
+    parser.add_options("campaign", hidden=("simulations",), objective=single)
     text = "how many safe trajectories the assessment has to which this episode belongs"
-    add_count(parser, "--safe-count", 1, 65_535, text, default=1)
-    add_count(parser, "--safe-number", 0, 65_534, "which of them the episode is about, from 0", default=0)
-    add_graph_arguments(parser, "episode", optional=False)
-    add_parameters(parser)
-    add_output_arguments(parser)
+    parser.add_count("--safe-count", 1, 65_535, text, default=1)
+    parser.add_count("--safe-number", 0, 65_534, "which of them the episode is about, from 0", default=0)
+    parser.add_graph(optional=False)
+    parser.add_parameters()
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

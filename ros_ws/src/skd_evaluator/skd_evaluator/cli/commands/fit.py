@@ -11,16 +11,8 @@ from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import (
-    add_damage_argument,
-    add_flag,
-    add_output_arguments,
-    add_paths,
-    add_value,
-    result_folder,
-)
+from skd_evaluator.cli.arguments import Parser, result_folder
 from skd_evaluator.cli.output import finish
-from skd_evaluator.cli.parser import Parser
 
 if TYPE_CHECKING:
     from skd_evaluator.risk.behaviour.tracks import Tracked
@@ -36,13 +28,13 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="research")
     text = "a bag folder, an .mcap file, episodes.npz, or a folder of them. With --people: CITR, or csv with t, x, y"
-    add_paths(parser, "paths", "PATH", text)
+    parser.add_paths("paths", "PATH", text)
     people = parser.add_argument_group("people")
-    add_flag(people, "--people", "fit a behaviour model to tracks of people, not a model of a car")
-    add_value(people, "--name", "what it is called", default="fitted", metavar="NAME")
-    add_value(people, "--kind", "the kind of road user", default="pedestrian", metavar="KIND")
-    add_damage_argument(parser)
-    add_output_arguments(parser)
+    people.add_flag("--people", "fit a behaviour model to tracks of people, not a model of a car")
+    people.add_value("--name", "what it is called", default="fitted", metavar="NAME")
+    people.add_value("--kind", "the kind of road user", default="pedestrian", metavar="KIND")
+    parser.add_skip_damaged()
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import add_count, add_flag, add_paths, add_value
+from skd_evaluator.cli.arguments import Parser
 from skd_evaluator.cli.output import finish, warn
-from skd_evaluator.cli.parser import Parser
 
 if TYPE_CHECKING:
     from skd_evaluator.report.history import Run
@@ -39,13 +38,13 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="look")
     text = "folder of results, or one above some (default: skd_results)"
-    add_paths(parser, "paths", "DIR", text, nargs="*", default=[Path("skd_results")])
-    add_value(parser, "--car", "only cars whose name holds this text", metavar="TEXT")
-    add_value(parser, "--scenario", "only scenarios whose name holds this text", metavar="TEXT")
-    add_value(parser, "--sort", "in which order", choices=tuple(_KEYS), default="date")
-    add_count(parser, "--last", 1, 1_000_000, "only so many, the last of the order")
-    add_value(parser, "--trend", "follow this figure of each car from result to result", choices=_FIGURES)
-    add_flag(parser, "--json", "print JSON instead of a table")
+    parser.add_paths("paths", "DIR", text, nargs="*", default=[Path("skd_results")])
+    parser.add_value("--car", "only cars whose name holds this text", metavar="TEXT")
+    parser.add_value("--scenario", "only scenarios whose name holds this text", metavar="TEXT")
+    parser.add_value("--sort", "in which order", choices=tuple(_KEYS), default="date")
+    parser.add_count("--last", 1, 1_000_000, "only so many, the last of the order")
+    parser.add_value("--trend", "follow this figure of each car from result to result", choices=_FIGURES)
+    parser.add_flag("--json", "print JSON instead of a table")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -13,20 +13,8 @@ from typing import TYPE_CHECKING
 
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 
-from skd_evaluator.cli.arguments import (
-    add_car_arguments,
-    add_count,
-    add_graph_arguments,
-    add_options,
-    add_output_arguments,
-    add_parameters,
-    add_workers_argument,
-    graph_options,
-    result_folder,
-    runner_of,
-)
-from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+from skd_evaluator.cli.arguments import Parser, graph_options, result_folder, runner_of
+from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish, say
 from skd_evaluator.version import version
 
 if TYPE_CHECKING:
@@ -43,13 +31,13 @@ def add(parser: Parser) -> None:
     as bags.
     """
     parser.set_defaults(group="research", rare=True)
-    add_car_arguments(parser, "probe")
-    add_count(parser, "--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
-    add_options(parser, "probe", "campaign")
-    add_workers_argument(parser)
-    add_graph_arguments(parser, "probe", optional=True, record=False)
-    add_parameters(parser)
-    add_output_arguments(parser)
+    parser.add_car()
+    parser.add_count("--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
+    parser.add_options("campaign")
+    parser.add_workers()
+    parser.add_graph()
+    parser.add_parameters()
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -9,20 +9,8 @@ from dataclasses import replace
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment.options import AssessmentOptions
-from skd_evaluator.cli.arguments import (
-    DETAILS,
-    add_damage_argument,
-    add_flag,
-    add_max_aborted_argument,
-    add_options,
-    add_output_arguments,
-    add_paths,
-    add_value,
-    positive_number,
-    result_folder,
-)
+from skd_evaluator.cli.arguments import DETAILS, Parser, positive_number, rare, result_folder
 from skd_evaluator.cli.gate import Gate, add_gate_arguments, gate_of
-from skd_evaluator.cli.parser import Parser, rare
 
 
 def add(parser: Parser) -> None:
@@ -31,16 +19,16 @@ def add(parser: Parser) -> None:
     Rate a car from recorded episodes, offline, recorded by SKD or by ros2 bag record.
     """
     parser.set_defaults(group="rate")
-    add_paths(parser, "paths", "PATH", "a bag folder, an .mcap file, or a folder of them")
-    add_value(parser, "--campaign", "which campaign to rate, if the bags hold several", metavar="NAME")
+    parser.add_paths("paths", "PATH", "a bag folder, an .mcap file, or a folder of them")
+    parser.add_value("--campaign", "which campaign to rate, if the bags hold several", metavar="NAME")
     text = "leave out each kamikaze that ended further than this many metres from its safe trajectory"
-    add_value(parser, "--maximum-distance", rare(text), type=positive_number, metavar="M")
-    add_max_aborted_argument(parser)
-    add_options(parser, "replay", table=AssessmentOptions)
-    add_damage_argument(parser)
-    add_flag(parser, "--details", DETAILS)
+    parser.add_value("--maximum-distance", rare(text), type=positive_number, metavar="M")
+    parser.add_max_aborted()
+    parser.add_options(table=AssessmentOptions)
+    parser.add_skip_damaged()
+    parser.add_flag("--details", DETAILS)
     add_gate_arguments(parser)
-    add_output_arguments(parser)
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

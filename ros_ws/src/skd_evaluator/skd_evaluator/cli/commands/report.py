@@ -7,9 +7,8 @@ from pathlib import Path
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import add_count, add_output_arguments, add_paths, add_value, output_path, whole_number
+from skd_evaluator.cli.arguments import Parser, output_path, whole_number
 from skd_evaluator.cli.output import finish
-from skd_evaluator.cli.parser import Parser
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 
@@ -22,17 +21,17 @@ def add(parser: Parser) -> None:
     repeats each.
     """
     parser.set_defaults(group="look")
-    add_paths(parser, "paths", "DIR", "folder of an assessment, a sweep or a campaign, or one above some")
+    parser.add_paths("paths", "DIR", "folder of an assessment, a sweep or a campaign, or one above some")
     text = "html for the page, png for pictures, gif or mp4 (with ffmpeg) for films at half speed"
-    add_value(parser, "--format", text, choices=("html", "png", "gif", "mp4"), default="html")
+    parser.add_value("--format", text, choices=("html", "png", "gif", "mp4"), default="html")
     which = parser.add_argument_group("pictures and films").add_mutually_exclusive_group()
-    add_count(which, "--worst", 1, 1000, "how many episodes to draw, the worst for the car first", default=1)
-    add_value(which, "--episode", "draw the episode with this id", type=whole_number(0), metavar="ID")
-    add_count(which, "--failures", 1, 1000, "draw so many of the risk's most likely failures, of each kind in turn")
+    which.add_count("--worst", 1, 1000, "how many episodes to draw, the worst for the car first", default=1)
+    which.add_value("--episode", "draw the episode with this id", type=whole_number(0), metavar="ID")
+    which.add_count("--failures", 1, 1000, "draw so many of the risk's most likely failures, of each kind in turn")
     text = "draw only kamikazes of this objective (default: all episodes)"
-    add_value(parser, "--objective", text, metavar="NAME")
+    parser.add_value("--objective", text, metavar="NAME")
     text = "the HTML file, or the folder for pictures (default: skd_results/report-<time>)"
-    add_output_arguments(parser, "PATH", text)
+    parser.add_output("PATH", text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import add_output_arguments, add_value, result_folder, steps_of
+from skd_evaluator.cli.arguments import Parser, result_folder, steps_of
 from skd_evaluator.cli.output import finish
-from skd_evaluator.cli.parser import Parser
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 
@@ -31,12 +30,12 @@ def add(parser: Parser) -> None:
     parser.set_defaults(group="look")
     actions = ("list", "show", "check", "campaign")
     text = f"what to do: {', '.join(actions)} (default: list)"
-    add_value(parser, "action", text, choices=actions, metavar="ACTION", nargs="?", default="list")
-    add_value(parser, "names", "names or files of scenarios", nargs="*", metavar="NAME")
+    parser.add_value("action", text, choices=actions, metavar="ACTION", nargs="?", default="list")
+    parser.add_value("names", "names or files of scenarios", nargs="*", metavar="NAME")
     text = "with campaign, test speeds of the car, km/h, as 10:60:10"
-    add_value(parser, "--speeds", text, type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP")
+    parser.add_value("--speeds", text, type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP")
     text = "folder for the pictures, or with campaign the file to write (default: skd_results/scenarios-<time>)"
-    add_output_arguments(parser, "PATH", text)
+    parser.add_output("PATH", text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -11,17 +11,8 @@ from typing import TYPE_CHECKING, Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS
-from skd_evaluator.cli.arguments import (
-    CAR_GROUP,
-    add_campaign_arguments,
-    add_options,
-    add_value,
-    real_number,
-    result_folder,
-    runner_of,
-)
-from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+from skd_evaluator.cli.arguments import CAR_GROUP, Parser, real_number, result_folder, runner_of
+from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish, say
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.assessment import Assessment
@@ -48,10 +39,10 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="research", rare=True)
     text = "walkers, or recorded ones: CITR's vci_lat_uni, a csv file with columns t, x, y, or a folder"
-    add_value(parser, "--safe", text, metavar="SOURCE")
+    parser.add_value("--safe", text, metavar="SOURCE")
     text = "rate the basic car with these multipliers C instead of the paper's nine (0.5 to 1.15)"
-    add_value(parser, "--multipliers", text, type=real_number(0.0, 100.0), nargs="+", metavar="C")
-    add_options(parser, "sweep", CAR_GROUP)
+    parser.add_value("--multipliers", text, type=real_number(0.0, 100.0), nargs="+", metavar="C")
+    parser.add_options(CAR_GROUP)
     # The paper's numbers; for a rating more φ say more than more trials on each.
     counts = {"safe_count": (5, "safe trajectories (φ) there are of each kind")}
     counts["kamikaze_count"] = 100, "kamikazes are planned for each safe trajectory"
@@ -59,7 +50,7 @@ def add(parser: Parser) -> None:
         name: {"default": count, "help": f"how many {what} (default: {count})"}
         for name, (count, what) in counts.items()
     }
-    add_campaign_arguments(parser, "sweep", **paper)
+    parser.add_campaign(**paper)
 
 
 def _spearman(rows: list[dict[str, Any]], value: str) -> float | None:

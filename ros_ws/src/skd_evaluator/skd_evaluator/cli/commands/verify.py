@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from skd_sim.inputs.files import one_line
 from skd_sim.options.registry import Registry
 
-from skd_evaluator.cli.arguments import add_flag, add_paths
+from skd_evaluator.cli.arguments import Parser
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.cli.parser import Parser
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.verification import Verified
@@ -27,8 +26,8 @@ def add(parser: Parser) -> None:
     episode can have happened. The exit code is 1 if something does not agree.
     """
     parser.set_defaults(group="compare and gate")
-    add_paths(parser, "paths", "DIR", "folder of an assessment, a sweep or a campaign, or a folder of such")
-    add_flag(parser, "--json", "print JSON, which names every figure, instead of lines")
+    parser.add_paths("paths", "DIR", "folder of an assessment, a sweep or a campaign, or a folder of such")
+    parser.add_flag("--json", "print JSON, which names every figure, instead of lines")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from skd_sim.options.car_under_test import CarUnderTest
 
-from skd_evaluator.cli.arguments import add_flag, add_max_aborted_argument, add_output_arguments, add_runner_arguments
-from skd_evaluator.cli.output import finish
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+from skd_evaluator.cli.arguments import Parser
+from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish
 from skd_evaluator.extensions.campaign.command import run_combinations
 
 if TYPE_CHECKING:
@@ -38,10 +37,10 @@ def add_benchmark(parser: Parser) -> None:
     parser.set_defaults(group="rate")
     text = "further cars: file.py:Class, package.module:Class or a registered name"
     parser.add_argument("cars", nargs="*", metavar="CAR", help=text)
-    add_flag(parser, "--resume", "go on with the benchmark in --out, or begin it if there is none")
-    add_runner_arguments(parser)
-    add_max_aborted_argument(parser)
-    add_output_arguments(parser)
+    parser.add_flag("--resume", "go on with the benchmark in --out, or begin it if there is none")
+    parser.add_runner()
+    parser.add_max_aborted()
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

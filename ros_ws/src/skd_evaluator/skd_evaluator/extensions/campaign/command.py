@@ -10,18 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import (
-    add_flag,
-    add_max_aborted_argument,
-    add_output_arguments,
-    add_runner_arguments,
-    add_value,
-    output_path,
-    runner_of,
-)
+from skd_evaluator.cli.arguments import Parser, output_path, runner_of
 from skd_evaluator.cli.gate import add_limits, limit_failures, limits_of
-from skd_evaluator.cli.output import finish, print_json, say, warn
-from skd_evaluator.cli.parser import EXIT_INTERRUPTED, Parser
+from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish, print_json, say, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,13 +33,13 @@ def add_campaign(parser: Parser) -> None:
     episode is stored as soon as it has run: whatever ends a campaign, --resume goes on with it.
     """
     parser.set_defaults(group="rate")
-    add_value(parser, "path", "YAML file that says what to rate (see docs/campaigns.md)", type=Path, metavar="FILE")
-    add_flag(parser, "--resume", "go on with the campaign in --out, or begin it if there is none")
-    add_flag(parser, "--dry-run", "only say which assessments there would be, and of how many episodes")
-    add_runner_arguments(parser)
-    add_max_aborted_argument(parser)
+    parser.add_value("path", "YAML file that says what to rate (see docs/campaigns.md)", type=Path, metavar="FILE")
+    parser.add_flag("--resume", "go on with the campaign in --out, or begin it if there is none")
+    parser.add_flag("--dry-run", "only say which assessments there would be, and of how many episodes")
+    parser.add_runner()
+    parser.add_max_aborted()
     add_limits(parser)
-    add_output_arguments(parser)
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

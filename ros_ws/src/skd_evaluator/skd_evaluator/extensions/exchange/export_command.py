@@ -7,16 +7,8 @@ from pathlib import Path
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import (
-    add_count,
-    add_flag,
-    add_output_arguments,
-    add_value,
-    result_folder,
-    whole_number,
-)
+from skd_evaluator.cli.arguments import Parser, result_folder, whole_number
 from skd_evaluator.cli.output import finish
-from skd_evaluator.cli.parser import Parser
 
 EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
 """Names of the formats: see `exports.FORMATS`."""
@@ -29,17 +21,17 @@ def add_export(parser: Parser) -> None:
     a comparison, a bisection or a log, too. docs/logs.md says what each format keeps.
     """
     parser.set_defaults(group="exchange")
-    add_value(parser, "path", "folder of an assessment or of a trial", type=Path, metavar="RESULT")
+    parser.add_value("path", "folder of an assessment or of a trial", type=Path, metavar="RESULT")
     text = "openscenario (1.2, OpenDRIVE road), osi (ground truth as MCAP; extra exchange), commonroad (2020a), csv"
-    add_value(parser, "--format", text, choices=EXPORT_FORMATS, required=True)
+    parser.add_value("--format", text, choices=EXPORT_FORMATS, required=True)
     which = parser.add_mutually_exclusive_group()
     text = "only the episode that has this id in episodes.npz and bags, and its φ"
-    add_value(which, "--episode", text, type=whole_number(0), metavar="ID")
+    which.add_value("--episode", text, type=whole_number(0), metavar="ID")
     worst = "only so many episodes, the worst for the car first, runs along φ among them, and their φ"
-    add_count(which, "--worst", 1, 1_000_000, worst)
-    add_value(parser, "--objective", "only kamikazes of this objective, and their φ", metavar="NAME")
-    add_flag(parser, "--no-car", "leave out how the car drove, so that another may drive in its place")
-    add_output_arguments(parser)
+    which.add_count("--worst", 1, 1_000_000, worst)
+    parser.add_value("--objective", "only kamikazes of this objective, and their φ", metavar="NAME")
+    parser.add_flag("--no-car", "leave out how the car drove, so that another may drive in its place")
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -11,17 +11,8 @@ from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import (
-    add_flag,
-    add_output_arguments,
-    add_paths,
-    add_value,
-    frame_place,
-    real_number,
-    result_folder,
-)
+from skd_evaluator.cli.arguments import Parser, frame_place, real_number, result_folder
 from skd_evaluator.cli.output import finish, warn
-from skd_evaluator.cli.parser import Parser
 
 if TYPE_CHECKING:
     from skd_sim.scenario.scenario import Scenario
@@ -47,34 +38,34 @@ def add_import(parser: Parser) -> None:
     such (docs/logs.md).
     """
     parser.set_defaults(group="exchange")
-    add_paths(parser, "paths", "PATH", "a file, a bag's folder, or a folder of files")
+    parser.add_paths("paths", "PATH", "a file, a bag's folder, or a folder of files")
     who = parser.add_argument_group("which road user")
     text = "whose trajectory: name, id, topic, /tf:FRAME or TOPIC:ID (default: the adversary, else the only one)"
-    add_value(who, "--road-user", text, metavar="NAME")
-    add_value(who, "--kind", "the kind of road user in inD and rounD", default="pedestrian", metavar="KIND")
-    add_value(who, "--car", "which object is the car, for --frame car; named as --road-user", metavar="NAME")
+    who.add_value("--road-user", text, metavar="NAME")
+    who.add_value("--kind", "the kind of road user in inD and rounD", default="pedestrian", metavar="KIND")
+    who.add_value("--car", "which object is the car, for --frame car; named as --road-user", metavar="NAME")
     where = parser.add_argument_group("frames and gaps")
     text = (
         "origin (m) and direction of the scenario's frame map in the file. With car it follows from how the car drives "
         "(default: 0,0,0)"
     )
-    add_value(where, "--frame", text, type=_place, default=(0.0, 0.0, 0.0), metavar="X,Y,DEGREES|car")
+    where.add_value("--frame", text, type=_place, default=(0.0, 0.0, 0.0), metavar="X,Y,DEGREES|car")
     text = "frame of a bag to which /tf and /tf_static bring all objects"
-    add_value(where, "--map-frame", text, metavar="FRAME")
+    where.add_value("--map-frame", text, metavar="FRAME")
     text = "topic of a bag's transforms, as /car1/tf; those that are fixed are on TOPIC_static"
-    add_value(where, "--tf-topic", text, default="/tf", metavar="TOPIC")
+    where.add_value("--tf-topic", text, default="/tf", metavar="TOPIC")
     text = "also check each trajectory for this scenario, cut it to the horizon, and leave out what cannot be used"
-    add_value(where, "--scenario", text, metavar="NAME")
+    where.add_value("--scenario", text, metavar="NAME")
     text = "leave out tracks with a longer gap, in transforms as well"
-    add_value(where, "--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=_LONGEST_GAP, metavar="S")
+    where.add_value("--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=_LONGEST_GAP, metavar="S")
     which = parser.add_argument_group("which part of a file")
     text = "only say what the files hold: who, in which form, rate, gaps, times, frame"
-    add_flag(which, "--list", text)
-    add_value(which, "--topics", "with --list: only these topics of bags", nargs="+", default=(), metavar="TOPIC")
+    which.add_flag("--list", text)
+    which.add_value("--topics", "with --list: only these topics of bags", nargs="+", default=(), metavar="TOPIC")
     for flag, name, what in (("--from", "begin", "before"), ("--to", "end", "after")):
         text = f"nothing {what} this time on the file's clock, s, as --list says it"
-        add_value(which, flag, text, dest=name, type=real_number(-1e12, 1e12), metavar="S")
-    add_output_arguments(parser)
+        which.add_value(flag, text, dest=name, type=real_number(-1e12, 1e12), metavar="S")
+    parser.add_output()
 
 
 def _place(text: str) -> tuple[float, float, float] | str:

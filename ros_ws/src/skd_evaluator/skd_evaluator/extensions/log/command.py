@@ -8,20 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_evaluator.assessment.options import AssessmentOptions
-from skd_evaluator.cli.arguments import (
-    CAR_GROUP,
-    add_count,
-    add_options,
-    add_output_arguments,
-    add_paths,
-    add_runner_arguments,
-    add_value,
-    real_number,
-    result_folder,
-    runner_of,
-)
+from skd_evaluator.cli.arguments import CAR_GROUP, Parser, real_number, result_folder, runner_of
 from skd_evaluator.cli.output import finish
-from skd_evaluator.cli.parser import Parser
 
 if TYPE_CHECKING:
     from skd_evaluator.extensions.log.conflicts import Conflict
@@ -38,32 +26,30 @@ def add_log(parser: Parser) -> None:
     the car that drove (docs/logs.md).
     """
     parser.set_defaults(group="rate")
-    add_paths(parser, "paths", "PATH", "a recording of ROS, a csv of tracked objects, CITR, or a folder of them")
+    parser.add_paths("paths", "PATH", "a recording of ROS, a csv of tracked objects, CITR, or a folder of them")
     car = parser.add_argument_group(CAR_GROUP)
     cars = "the car under test: basic, cal, a registered name, file.py:Class or package.module:Class (default: none)"
-    add_options(car, "log", CAR_GROUP, controller={"default": None, "help": cars})
-    add_options(car, "log", table=AssessmentOptions)
+    car.add_options(CAR_GROUP, controller={"default": None, "help": cars})
+    car.add_options(table=AssessmentOptions)
     text = "road, shapes, braking and kind of road user of each conflict (default: %(default)s)"
-    add_value(car, "--scenario", text, default="crossing", metavar="NAME")
+    car.add_value("--scenario", text, default="crossing", metavar="NAME")
     where = parser.add_argument_group("recordings")
     text = "topic, /tf:FRAME or id of the car that drove (default: the only Odometry, base_link, or car)"
-    add_value(where, "--car", text, metavar="NAME")
-    add_value(where, "--map-frame", "frame to which tf brings all objects (default: that of the car)", metavar="FRAME")
-    add_value(where, "--tf-topic", "topic of a bag's transforms", default="/tf", metavar="TOPIC")
+    where.add_value("--car", text, metavar="NAME")
+    where.add_value("--map-frame", "frame to which tf brings all objects (default: that of the car)", metavar="FRAME")
+    where.add_value("--tf-topic", "topic of a bag's transforms", default="/tf", metavar="TOPIC")
     text = "how far ahead of the middle of the car its tracked point is, m"
-    add_value(where, "--reference", text, type=real_number(-20.0, 20.0), default=0.0, metavar="M")
+    where.add_value("--reference", text, type=real_number(-20.0, 20.0), default=0.0, metavar="M")
     text = "do not fill longer gaps"
-    add_value(where, "--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=0.5, metavar="S")
+    where.add_value("--longest-gap", text, type=real_number(0.0, 60.0, above=True), default=0.5, metavar="S")
     which = parser.add_argument_group("conflicts")
     text = "how far ahead both are predicted, s"
-    add_value(which, "--within", text, type=real_number(0.5, 30.0), default=4.0, metavar="S")
+    which.add_value("--within", text, type=real_number(0.5, 30.0), default=4.0, metavar="S")
     text = "earliest reaction, for the upper bound: a full brake so long after the road user leaves its path, s"
-    add_value(which, "--reaction", text, type=real_number(0.0, 10.0), default=0.1, metavar="S")
-    add_count(
-        which, "--export", 0, 10_000, "write so many of the worst as scenarios with a campaign of them", default=0
-    )
-    add_runner_arguments(parser)
-    add_output_arguments(parser)
+    which.add_value("--reaction", text, type=real_number(0.0, 10.0), default=0.1, metavar="S")
+    which.add_count("--export", 0, 10_000, "write so many of the worst as scenarios with a campaign of them", default=0)
+    parser.add_runner()
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:

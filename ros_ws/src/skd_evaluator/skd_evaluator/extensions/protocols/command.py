@@ -12,17 +12,8 @@ from typing import TYPE_CHECKING
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment.options import AssessmentOptions
-from skd_evaluator.cli.arguments import (
-    CAR_GROUP,
-    add_options,
-    add_output_arguments,
-    add_runner_arguments,
-    result_folder,
-    runner_of,
-    steps_of,
-)
-from skd_evaluator.cli.output import finish, say
-from skd_evaluator.cli.parser import EXIT_FAILED, EXIT_INTERRUPTED, Parser
+from skd_evaluator.cli.arguments import CAR_GROUP, Parser, result_folder, runner_of, steps_of
+from skd_evaluator.cli.output import EXIT_FAILED, EXIT_INTERRUPTED, finish, say
 from skd_evaluator.extensions.protocols.matrices import ProtocolMatrix, known_scenarios
 from skd_evaluator.extensions.protocols.regulations import NCAP, REGULATIONS
 
@@ -46,18 +37,18 @@ def add_protocol(parser: Parser) -> None:
     parser.add_argument("protocol", choices=(NCAP, *REGULATIONS), metavar="NAME", help=names)
     tests = parser.add_argument_group(CAR_GROUP)
     cars = "the car under test: basic, cal, carla, a registered name, file.py:Class or package.module:Class"
-    add_options(tests, "protocol", CAR_GROUP, controller={"help": f"{cars} (default: basic)"})
+    tests.add_options(CAR_GROUP, controller={"help": f"{cars} (default: basic)"})
     text = f"of ncap: scenarios with impact places, names or files, with commas in between (default: {SCENARIOS})"
     scenarios = tests.add_argument("--scenarios", metavar="LIST", help=text)
     scenarios.names = known_scenarios  # type: ignore[attr-defined]  # which a shell completes
     text = "test speeds of the car, km/h, as 10:60:10 (default: those of each table)"
     tests.add_argument("--speeds", type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP", help=text)
     margins = parser.add_argument_group("margins")
-    add_options(margins, "protocol", table=AssessmentOptions)
+    margins.add_options(table=AssessmentOptions)
     trials = f"how many trials there are in each cell, each with draws of its own (default: {TRIALS})"
-    add_options(margins, "protocol", "campaign", kamikaze_count={"default": TRIALS, "help": trials})
-    add_runner_arguments(parser)
-    add_output_arguments(parser)
+    margins.add_options("campaign", kamikaze_count={"default": TRIALS, "help": trials})
+    parser.add_runner()
+    parser.add_output()
 
 
 def run(arguments: argparse.Namespace) -> int:
