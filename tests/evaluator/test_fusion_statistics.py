@@ -145,11 +145,11 @@ def simulated_of(values: np.ndarray, key: str = "clearance") -> dict[str, list[P
 
 def test_without_prediction_the_physical_trials_stand_alone():
     y, x, every = drawn(np.random.default_rng(4), 0.95, 12)
-    (good,) = fuse(trials_of(y + 5.0), simulated_of(every + 5.0)).figures
+    ((good,), _) = fuse(trials_of(y + 5.0), simulated_of(every + 5.0))
     assert good.predicts
     assert good.stands is good.with_simulator
     assert good.saved > 20
-    (bad,) = fuse(trials_of(y + 5.0), simulated_of(5.0 - every)).figures
+    ((bad,), _) = fuse(trials_of(y + 5.0), simulated_of(5.0 - every))
     assert bad.why_alone == "the simulator does not predict this figure"
     assert bad.stands is bad.alone
     assert bad.saved == 0
@@ -159,7 +159,7 @@ def test_without_prediction_the_physical_trials_stand_alone():
 
 def test_intervals_at_several_looks_have_the_confidence_of_one_of_them():
     y, _, every = drawn(np.random.default_rng(4), 0.95, 12)
-    (once,), (often,) = (fuse(trials_of(y), simulated_of(every), looks=looks).figures for looks in (1, 4))
+    (once,), (often,) = (fuse(trials_of(y), simulated_of(every), looks=looks)[0] for looks in (1, 4))
     assert (once.confidence, often.confidence) == (0.95, nominal_confidence(4))
     assert often.stands.interval[0] < once.stands.interval[0] < once.stands.interval[1] < often.stands.interval[1]
 
@@ -186,7 +186,7 @@ def test_pairs_are_of_one_timing():
         name: [PhysicalTrial(name, {"clearance": trials[0].values["clearance"] + gap}, gap) for gap in (13.0, 15.0)]
         for name, trials in simulated_of(every).items()
     }
-    near = fuse(trials_of(y, gap=13.2), runs).figures[0].pairs
+    near = fuse(trials_of(y, gap=13.2), runs)[0][0].pairs
     assert near.simulated == pytest.approx(every[:8] + 13.0)
     assert near.population.mean() == pytest.approx(every.mean() + 14.0)
     assert sorted(near.shape) == pytest.approx(sorted([*(every + 13.0), *(every + 15.0)]))
@@ -220,7 +220,7 @@ def test_of_trials_on_alike_phi_nothing_is_said():
         PhysicalTrial(f"phi{index}", {"clearance": float(every[index] + 0.02 * rng.standard_normal())})
         for index in chosen
     ]
-    assert fuse(spread, simulated_of(every)).figures[0].predicts
+    assert fuse(spread, simulated_of(every))[0][0].predicts
 
 
 def test_the_reach_is_that_of_the_studentised_mean_of_such_figures():

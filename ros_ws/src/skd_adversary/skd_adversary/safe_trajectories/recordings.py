@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, open_regular
 from skd_sim.inputs.yaml_file import short
@@ -110,6 +111,11 @@ def write_trajectory(path: Path, times: FloatArray, positions: FloatArray) -> No
     path.write_text("t,x,y\n" + "".join(f"{time!r},{x!r},{y!r}\n" for time, (x, y) in rows), encoding="utf-8")
 
 
+def interpolated(at: npt.NDArray[np.floating], times: npt.NDArray[np.floating], values: FloatArray) -> FloatArray:
+    """Return values (n × d, known at n times, s) at other times, m × d: in straight lines, column by column."""
+    return np.column_stack([np.interp(at, times, column) for column in values.T])
+
+
 def resample(times: FloatArray, positions: FloatArray, time_step: float) -> FloatArray:
     """Interpolate positions linearly at times[0] + k·time_step, up to the last time.
 
@@ -126,7 +132,7 @@ def resample(times: FloatArray, positions: FloatArray, time_step: float) -> Floa
     # The tolerance keeps the last sample of data already at the time step, whatever its rounding.
     count = int((times[-1] - times[0]) / time_step + 1e-6) + 1
     at = np.minimum(times[0] + time_step * np.arange(count), times[-1])
-    return np.column_stack([np.interp(at, times, positions[:, axis]) for axis in range(positions.shape[1])])
+    return interpolated(at, times, positions)
 
 
 def too_fast(times: FloatArray, positions: FloatArray, fastest: float) -> tuple[int, str] | None:

@@ -19,6 +19,7 @@ from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from skd_adversary.safe_trajectories.recordings import interpolated
 from skd_sim.errors import UsageError
 from skd_sim.scenario.protocol import time_of_meeting
 from skd_sim.scenario.road import right_and_along, road_pose
@@ -252,19 +253,19 @@ class ShownEpisode:
     def poses(self, times: FloatArray) -> FloatArray:
         """Return the car's poses at some times (s): x, y (m), heading (rad), n × 3."""
         states = np.column_stack([self.car[:, :2], np.unwrap(self.car[:, 2])])
-        return np.column_stack([np.interp(times, self.times, one) for one in states.T])
+        return interpolated(times, self.times, states)
 
     def phi_at(self, times: FloatArray) -> FloatArray:
         """Return where φ is at some times (s), held at its end: n × 2, m."""
         ticks = self.scenario.time_step * np.arange(len(self.phi))
-        return np.column_stack([np.interp(times, ticks, self.phi[:, axis]) for axis in (0, 1)])
+        return interpolated(times, ticks, self.phi)
 
     def distances(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the gap between car and adversary and the distance from φ at some times (s), m.
 
         The adversary's disc, or the disc that a box holds, against the car's outline; straight lines between ticks.
         """
-        walked = np.column_stack([np.interp(times, self.times, self.adversary[:, axis]) for axis in (0, 1)])
+        walked = interpolated(times, self.times, self.adversary)
         away = np.linalg.norm(walked - self.phi_at(times), axis=1)
         car, (radius, _, half_width) = self.scenario.car, self.scenario.adversary.shape
         gaps = []

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.recordings import in_car_frame, write_trajectory
+from skd_adversary.safe_trajectories.recordings import in_car_frame, interpolated, write_trajectory
 from skd_adversary.safe_trajectories.sources import safe_trajectory
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
@@ -132,7 +132,7 @@ def _too_fast(track: Track) -> str:
     if "pedestrian" not in track.kind.lower() or track.times[-1] - track.times[0] < 1.0:
         return ""
     at = track.times[track.times <= track.times[-1] - 1.0]
-    later, now = (np.column_stack([np.interp(t, track.times, c) for c in track.places.T]) for t in (at + 1.0, at))
+    later, now = (interpolated(one, track.times, track.places) for one in (at + 1.0, at))
     fastest = float(np.hypot(*(later - now).T).max())
     return f"goes {fastest:.3g} m in a second on foot: are positions in m?" if fastest > _ON_FOOT else ""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from skd_adversary.safe_trajectories.recordings import interpolated
 from skd_sim.scenario.road import ONCOMING, right_and_along, road_pose
 from skd_sim.scenario.road_user import CAR, Body, called, height_of
 from skd_sim.scenario.scenario import Scenario
@@ -123,7 +124,7 @@ def actors_of(scenario: Scenario, course: EpisodeMotion, *, with_car: bool) -> t
         states = np.array([one[:2] for one in other.states(ticks, scenario.time_step)])
         grid = scenario.time_step * np.arange(ticks + 1)
         times = course.times[:1] if other.stands else course.times
-        places = np.column_stack([np.interp(times, grid, column) for column in states.T])
+        places = interpolated(times, grid, states)
         found.append(_moving(OTHER.format(index + 1), FIRST_OTHER_ID + index, other, times, places))
     number = FIRST_OTHER_ID + len(scenario.others)
     for index, one in enumerate(scenario.obstacles):

@@ -16,14 +16,14 @@ Journal of Econometrics 29, 1985; R. M. Bell and D. F. McCaffrey, Survey Methodo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 from scipy import special
 from scipy.optimize import least_squares
+from skd_adversary.safe_trajectories.recordings import interpolated
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
 from skd_sim.scenario.road import right_and_along
@@ -72,6 +72,11 @@ class WorldParameter:
     step: float
     is_limit: bool = False
     sensing: bool = False
+
+    @property
+    def label(self) -> str:
+        """Text and unit."""
+        return f"{self.text} ({self.unit})" if self.unit else self.text
 
     def of(self, scenario: Scenario) -> float:
         """Return its value in a scenario."""
@@ -130,38 +135,32 @@ class Recorded:
     where: str
 
 
-class ShownRecording:
-    """SKD's own world, whose car goes by itself while its controller is shown the recorded one."""
+class ShownRecording(WorldSimulator):
+    """SKD's own world, whose car goes by itself while its controller is shown the recorded one.
 
-    places_others: Final = True
+    Attributes:
+        places: of the car that goes by itself, at each tick, m.
+    """
 
     def __init__(self, states: FloatArray) -> None:
         """Take the recorded states of the car, at control periods."""
-        self._states, self._inner = states, WorldSimulator()
-        self.places: list[tuple[float, float]] = []
+        self._states = states
 
     def reset(self, episode: EpisodeSpec) -> Frame:
         """Begin where the recording begins, at its speed."""
-        frame = self._inner.reset(episode)
-        world, self._periods = self._inner.world, episode.scenario.control_periods
-        begin = CarState(*map(float, self._states[0]))
-        world.car = begin
-        world.dynamics.reset(begin)
+        frame, begin = super().reset(episode), CarState(*map(float, self._states[0]))
+        self.world.car = begin
+        self.world.dynamics.reset(begin)
         self.places = [begin[:2]]
         return frame._replace(car=begin)
 
     def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
         """Advance the world by one control period."""
-        frame = self._inner.step(command, velocity)
+        frame = super().step(command, velocity)
         if frame.period == 0:
             self.places.append(frame.car[:2])
-        number = min(frame.tick * self._periods + frame.period, len(self._states) - 1)
+        number = min(frame.tick * self._episode.scenario.control_periods + frame.period, len(self._states) - 1)
         return frame._replace(car=CarState(*map(float, self._states[number])))
-
-    @property
-    def clipped(self) -> int:
-        """How many commands were beyond what the car can do."""
-        return self._inner.clipped
 
 
 def recorded(scenario: Scenario, scene: Interaction, phi: str, where: str) -> Recorded:
@@ -178,10 +177,10 @@ def recorded(scenario: Scenario, scene: Interaction, phi: str, where: str) -> Re
         what = f"begins at {speed:.2f} m/s, and in the simulation at {simulated:.2f}"
         raise UsageError(f"{where}: the car {what}: simulate that speed (--set car.start_speed=…)")
     times = scenario.time_step * np.arange(ticks + 1)
-    places = np.column_stack([np.interp(times, scene.times, column) for column in scene.other.T])
     periods = scenario.control_duration * np.arange(ticks * scenario.control_periods + 1)
-    states = np.column_stack([np.interp(periods, scene.times, column) for column in scene.car.T])
-    return Recorded(phi, places, states, where)
+    return Recorded(
+        phi, interpolated(times, scene.times, scene.other), interpolated(periods, scene.times, scene.car), where
+    )
 
 
 def off_by(scenario: Scenario, tested: CarUnderTest, trial: Recorded) -> FloatArray:
@@ -213,11 +212,10 @@ def off_by(scenario: Scenario, tested: CarUnderTest, trial: Recorded) -> FloatAr
     log = run_episode(episode, simulator=shown)
     if log.outcome == Outcome.ABORTED:
         raise AssessmentError(f"{trial.where}: the trial could not be driven again: {log.reason}")
-    line = scenario.road.line
-    simulated = right_and_along(line, np.array(shown.places))[:, 1]
-    seen = right_and_along(line, np.ascontiguousarray(trial.car[:: scenario.control_periods, :2]))[:, 1]
-    count = min(len(simulated), len(seen))
-    return np.asarray(seen[:count] - simulated[:count])
+    seen = np.ascontiguousarray(trial.car[:: scenario.control_periods, :2])
+    count = min(len(seen), len(shown.places))
+    ahead, simulated = (right_and_along(scenario.road.line, one) for one in (seen, np.array(shown.places)))
+    return np.asarray(ahead[:count, 1] - simulated[:count, 1])
 
 
 Off = Callable[[Mapping[str, float]], list[FloatArray]]
@@ -308,6 +306,16 @@ class SimulatorCalibration(Entry):
             for one in self.identified
             if one.value in one.parameter.range
         ]
+
+    @property
+    def sentences(self) -> Iterator[str]:
+        """What may be said of the simulated car."""
+        for one in self.identified:
+            assert one.interval is not None
+            value, low, high = map(one.parameter.shown, (one.value, *one.interval))
+            yield f"The {one.parameter.text} is {value}, with a 95 % interval from {low} to {high}."
+        off = f"Simulated cars are {self.after:.2f} m from where recorded ones were (root mean square)"
+        yield f"{off}; with the scenario's own values {self.before:.2f} m."
 
 
 def estimated(

@@ -50,6 +50,7 @@ from scipy import special
 from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import cluster_error, components_of, student_quantile
+from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.sample_size import mean_of_root
 from skd_evaluator.metrics.statistics import Interval, checked_confidence, score_interval
 
@@ -147,8 +148,10 @@ _MOST_TRIALS = 10**7
 
 
 @dataclass(frozen=True)
-class Mean:
+class Mean(Entry):
     """A mean with its interval and standard error."""
+
+    KEYS = "value interval error"
 
     value: float
     interval: Interval
@@ -177,6 +180,11 @@ class Line:
     p_value: float
     residual: float
     spread: float
+
+    @property
+    def residual_deviation(self) -> float:
+        """Root of the residual variance."""
+        return float(self.residual**0.5)
 
     @property
     def predicts(self) -> bool:

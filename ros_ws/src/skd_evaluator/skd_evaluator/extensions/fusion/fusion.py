@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +14,8 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
 from skd_sim.world.state import FloatArray
 
-from skd_evaluator.extensions.fusion.estimate import (
-    LEAST_OF_EACH,
-    LEAST_PAIRS,
-    Line,
-    Mean,
-    Reach,
-    alone,
-    alone_rate,
-    enough_of_each,
-    fitted_line,
-    fused,
-    fused_rate,
-    kurtosis,
-    least_variance,
-    rehearsed,
-    skewness,
-    stand_for_all,
-    trials_saved,
-)
+from skd_evaluator.extensions.fusion import estimate
+from skd_evaluator.extensions.fusion.estimate import Line, Mean, Reach, kurtosis, skewness
 from skd_evaluator.extensions.fusion.trials import (
     FIGURES,
     GAP_TOLERANCE,
@@ -43,13 +26,14 @@ from skd_evaluator.extensions.fusion.trials import (
     read_simulated,
 )
 from skd_evaluator.metrics.clustered import student_quantile
+from skd_evaluator.metrics.entry import Entry
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.report.formats import counted
 
 
 @dataclass(frozen=True)
-class GapTrend:
+class GapTrend(Entry):
     """How a gap changes with something.
 
     Attributes:
@@ -58,13 +42,15 @@ class GapTrend:
         p_value: two-sided, of no trend.
     """
 
+    KEYS = "slope interval p_value"
+
     slope: float
     interval: Interval
     p_value: float
 
 
 @dataclass(frozen=True, eq=False)
-class Gap:
+class Gap(Entry):
     """Physical less simulated figure.
 
     Attributes:
@@ -74,6 +60,8 @@ class Gap:
         by_order: whether it grows from trial to trial, per trial: brakes that warm up, a track that dries.
         by_phi: of each φ, in the order of the pairs.
     """
+
+    KEYS = "mean interval by_simulated by_order by_phi"
 
     mean: float
     interval: Interval | None
@@ -123,7 +111,7 @@ class NotSaidError(UsageError):
 
 
 @dataclass(frozen=True, eq=False)
-class FusedFigure:
+class FusedFigure(Entry):
     """One figure of the physical car.
 
     Attributes:
@@ -135,9 +123,16 @@ class FusedFigure:
         line: through the pairs.
         gap: physical less simulated.
         saved: further physical φ that an interval as narrow would have taken without the simulator.
-        why_alone: why the physical trials stand alone; empty where they do not.
+        why_alone: why the physical trials stand alone; None where they do not.
         notes: what a reader should know, a sentence each.
     """
+
+    KEYS = (
+        "unit=figure.unit value=stands.value interval=stands.interval confidence predicts why_alone "
+        "p_value=line.p_value correlation=line.correlation slope=line.slope residual_deviation=line.residual_deviation "
+        "deviation physical_alone=alone with_simulator phi=pairs.phi trials=pairs.trials.size "
+        "simulated_phi=pairs.population.size simulated_mean trials_saved=saved gap=gap_by_phi notes"
+    )
 
     figure: TrialFigure
     pairs: Pairs
@@ -147,64 +142,39 @@ class FusedFigure:
     line: Line
     gap: Gap
     saved: int
-    why_alone: str
+    why_alone: str | None
     notes: tuple[str, ...]
 
     @property
     def predicts(self) -> bool:
         """Whether the simulator predicts this figure, so that both together stand."""
-        return not self.why_alone
+        return self.why_alone is None
 
     @property
     def stands(self) -> Mean:
         """What is said: with the simulator where it predicts, else by the physical trials alone."""
-        return self.alone if self.with_simulator is None or self.why_alone else self.with_simulator
+        return self.with_simulator if self.with_simulator is not None and self.predicts else self.alone
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of fusion.json."""
-        pairs, gap = self.pairs, self.gap
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the physical figure from φ to φ."""
+        return float(self.alone.error * self.pairs.phi**0.5)
+
+    @property
+    def simulated_mean(self) -> float:
+        """Mean of the simulated figure over all φ."""
+        return float(self.pairs.population.mean())
+
+    @property
+    def gap_by_phi(self) -> dict[str, Any]:
+        """The gap, with both figures of each φ."""
+        pairs = self.pairs
         rows = zip(pairs.names, pairs.groups, pairs.physical.tolist(), pairs.simulated.tolist(), strict=True)
-        return {
-            "unit": self.figure.unit,
-            "value": self.stands.value,
-            "interval": self.stands.interval,
-            "confidence": self.confidence,
-            "predicts": self.predicts,
-            "why_alone": self.why_alone or None,
-            "p_value": self.line.p_value,
-            "correlation": self.line.correlation,
-            "slope": self.line.slope,
-            "residual_deviation": self.line.residual**0.5,
-            "deviation": self.alone.error * len(pairs.names) ** 0.5,
-            "physical_alone": asdict(self.alone),
-            "with_simulator": self.with_simulator and asdict(self.with_simulator),
-            "phi": len(pairs.names),
-            "trials": pairs.trials.size,
-            "simulated_phi": pairs.population.size,
-            "simulated_mean": float(pairs.population.mean()),
-            "trials_saved": self.saved,
-            "gap": {
-                **asdict(gap),
-                "by_phi": [
-                    {"phi": name, "trials": group.size, "physical": real, "simulated": said, "gap": real - said}
-                    for name, group, real, said in rows
-                ],
-            },
-            "notes": list(self.notes),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Fusion:
-    """All figures of the physical car.
-
-    Attributes:
-        figures: those that can be said.
-        left_out: why others are not, a line each.
-    """
-
-    figures: tuple[FusedFigure, ...]
-    left_out: tuple[str, ...]
+        by_phi = [
+            {"phi": name, "trials": group.size, "physical": real, "simulated": said, "gap": real - said}
+            for name, group, real, said in rows
+        ]
+        return {**self.gap.as_dict(), "by_phi": by_phi}
 
 
 def fuse(
@@ -214,8 +184,8 @@ def fuse(
     looks: int = 1,
     confidence: float = 0.95,
     tolerance: float = GAP_TOLERANCE,
-) -> Fusion:
-    """Return every figure that both kinds of trials have.
+) -> tuple[list[FusedFigure], list[str]]:
+    """Return every figure that both kinds of trials have, and why others are left out, a line each.
 
     Args:
         physical: trials, in the order in which they were made.
@@ -244,7 +214,7 @@ def fuse(
     if not found:
         left_out.append(f"physical and simulated trials have no figure in common; known are {', '.join(FIGURES)}")
         raise UsageError(left_out[0])
-    return Fusion(tuple(found), tuple(left_out))
+    return found, left_out
 
 
 def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedFigure:
@@ -255,25 +225,25 @@ def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedF
         UsageError: too few φ with trials, or figures that cannot be of trials.
     """
     y, x, population = pairs.physical, pairs.simulated, pairs.population
-    if y.size < LEAST_PAIRS:
-        raise UsageError(f"trials on {y.size} φ: at least {LEAST_PAIRS} φ with physical trials are needed")
-    line, why, both, saved = fitted_line(y, x), "", None, 0
+    if y.size < estimate.LEAST_PAIRS:
+        raise UsageError(f"trials on {y.size} φ: at least {estimate.LEAST_PAIRS} φ with physical trials are needed")
+    line, why, both, saved = estimate.fitted_line(y, x), None, None, 0
     reach = reach_of_both = (1.0, 1.0)
     if line.slope is None:
         why = "the simulator says the same of all these φ"
-    elif figure.is_rate and not enough_of_each(pairs.groups):
-        why = f"there are fewer than {LEAST_OF_EACH} φ with a hit, or without one"
+    elif figure.is_rate and not estimate.enough_of_each(pairs.groups):
+        why = f"there are fewer than {estimate.LEAST_OF_EACH} φ with a hit, or without one"
     try:
         if figure.is_rate:
-            by_itself = alone_rate(pairs.groups, confidence)
-            both = None if why else fused_rate(y, x, population, line, confidence)
+            by_itself = estimate.alone_rate(pairs.groups, confidence)
+            both = None if why else estimate.fused_rate(y, x, population, line, confidence)
         else:
             _check_spread(figure, pairs, line)
             reach = _reach(figure, pairs, line, confidence, by_line=False)
-            by_itself = alone(y, confidence, reach)
+            by_itself = estimate.alone(y, confidence, reach)
             if not why:
                 reach_of_both = _reach(figure, pairs, line, confidence, by_line=True)
-                both = fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach_of_both)
+                both = estimate.fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach_of_both)
     except NotSaidError:
         raise
     except ValueError as error:
@@ -283,7 +253,7 @@ def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedF
     elif both is not None and figure.is_rate:
         saved = max(0, int(y.size * (by_itself.width / both.width) ** 2) - y.size)
     elif both is not None:
-        saved = trials_saved(y.size, both.width / by_itself.width, confidence)
+        saved = estimate.trials_saved(y.size, both.width / by_itself.width, confidence)
     gap = gap_of(y, x, pairs.trials, pairs.predicted, confidence)
     notes = tuple(_notes(figure, pairs, why, max(reach if why else reach_of_both)))
     return FusedFigure(figure, pairs, confidence, by_itself, both, line, gap, saved, why, notes)
@@ -296,7 +266,7 @@ def _check_spread(figure: TrialFigure, pairs: Pairs, line: Line) -> None:
         NotSaidError: it is so.
     """
     begin, x, population = f"{figure.text}: nothing is said, for", pairs.simulated, pairs.population
-    if line.predicts and not stand_for_all(x, population):
+    if line.predicts and not estimate.stand_for_all(x, population):
         few, every = (f"{np.std(one, ddof=1):.3g} {figure.unit}" for one in (x, population))
         spread = f"simulated standard deviation {few}, over all φ {every}"
         raise NotSaidError(f"{begin} the φ with trials are too alike ({spread}): make more trials")
@@ -314,16 +284,16 @@ def _reach(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float, *, 
     if by_line:
         off = off - (line.slope or 0.0) * (pairs.simulated - pairs.simulated.mean())
     leans = skewness(pairs.shape - pairs.shape.mean()) >= 0.0
-    mirrored, least = (skewness(off) >= 0.0) != leans, least_variance(off.size) if line.predicts else 0.0
-    reach = rehearsed(pairs.shape, off.size, confidence, by_line=by_line, mirrored=mirrored, least=least)
+    mirrored, least = (skewness(off) >= 0.0) != leans, estimate.least_variance(off.size) if line.predicts else 0.0
+    reach = estimate.rehearsed(pairs.shape, off.size, confidence, by_line=by_line, mirrored=mirrored, least=least)
     if line.predicts == by_line and max(reach) > _MOST_REACH:
         what = f"nothing is said, for {off.size} trials do not tell the mean of figures as skewed as the simulated ones"
         raise NotSaidError(f"{figure.text}: {what}: make more trials")
     return reach
 
 
-def _notes(figure: TrialFigure, pairs: Pairs, why_alone: str, reach: float) -> Iterator[str]:
-    count = len(pairs.names)
+def _notes(figure: TrialFigure, pairs: Pairs, why_alone: str | None, reach: float) -> Iterator[str]:
+    count = pairs.phi
     if not pairs.timed:
         yield "the timing of physical trials is not known: pairs are of the same φ alone"
     if why_alone:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from skd_adversary.safe_trajectories.recordings import interpolated
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean
 from skd_sim.scenario.road import right_and_along, road_pose
@@ -117,7 +118,7 @@ def _places_at(track: Track, times: FloatArray, *, holes: bool = False) -> Float
     hole = np.diff(known)[np.clip(np.searchsorted(known, times), 1, len(known) - 1) - 1].max()
     if hole > tracks.LONGEST_GAP and not holes:
         raise UsageError(f"{track.where}: has a hole of {hole:.2f} s, more than {tracks.LONGEST_GAP:g} s{_why(track)}")
-    return np.column_stack([np.interp(times, known, column) for column in track.places.T])
+    return interpolated(times, known, track.places)
 
 
 def _why(track: Track) -> str:
@@ -252,8 +253,8 @@ class TrialRecorder:
 
         def off(begin: float) -> float:
             tracked = (begin + ticks <= other.times[-1] + 1e-9) & (begin + ticks >= other.times[0] - 1e-9)
-            x, y = (np.interp(begin + ticks[tracked], other.times, column) for column in other.places.T)
-            return float(np.mean((x - phi[tracked, 0]) ** 2 + (y - phi[tracked, 1]) ** 2))
+            apart = interpolated(begin + ticks[tracked], other.times, other.places) - phi[tracked]
+            return float(np.mean(apart[:, 0] ** 2 + apart[:, 1] ** 2))
 
         best = min(np.arange(first, last + _SHIFTS, _SHIFTS).tolist(), key=off)
         return float(min(np.clip(best + np.linspace(-_SHIFTS, _SHIFTS, 81), first, None).tolist(), key=off))
@@ -272,8 +273,7 @@ class TrialRecorder:
 
     def _check_follows(self, scene: Interaction, phi: FloatArray, path: Path) -> None:
         ticks = self.scenario.time_step * np.arange(len(phi))
-        due = np.column_stack([np.interp(scene.times, ticks, column) for column in phi.T])
-        off = np.hypot(*(scene.other - due).T)
+        off = np.hypot(*(scene.other - interpolated(scene.times, ticks, phi)).T)
         worst = int(np.argmax(off))
         if off[worst] > self.tolerance:
             how = f"{off[worst]:.2f} m off its φ after {scene.times[worst]:.1f} s, more than {self.tolerance:g} m"

@@ -47,6 +47,11 @@ class TrialFigure:
     is_rate: bool = False
     wrong: float = 0.0
 
+    @property
+    def label(self) -> str:
+        """Text and unit."""
+        return f"{self.text} ({self.unit})" if self.unit else self.text
+
 
 FIGURES = {
     one.key: one
@@ -289,6 +294,11 @@ class Pairs:
     predicted: FloatArray
     timed: bool
     shape: FloatArray
+
+    @property
+    def phi(self) -> int:
+        """How many φ have physical trials."""
+        return len(self.names)
 
 
 def paired(
