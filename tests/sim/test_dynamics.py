@@ -10,9 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.dynamics.multi_body import (
+    ANGLE,
     BMW_320I,
+    DRIFT,
     FRONT,
+    HEADING,
     HEIGHT,
+    LEFT,
     PITCH,
     PITCH_RATE,
     REAR,
@@ -21,6 +25,7 @@ from skd_sim.world.dynamics.multi_body import (
     TYRE,
     VERTICAL_SPEED,
     WHEELS,
+    YAW_RATE,
     MultiBodyCar,
     WheelTorques,
     apply_brake,
@@ -31,6 +36,7 @@ from skd_sim.world.dynamics.multi_body import (
 )
 from skd_sim.world.state import CarState
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
 BASE = load_scenario("crossing_multi_body")
@@ -182,6 +188,74 @@ def test_right_hand_side_is_that_of_a_car_that_goes_straight() -> None:
 
 def test_parameters_are_those_of_the_source() -> None:
     theirs = setup_vehicle_parameters(2)
-    flat = {**vars(theirs), "a_max": theirs.longitudinal.a_max, "v_switch": theirs.longitudinal.v_switch}
+    flat = vars(theirs.longitudinal) | vars(theirs) | {"v_max": theirs.steering.v_max}
     assert BMW_320I._asdict() == {name: flat[name] for name in BMW_320I._fields}
     assert TYRE._asdict() == {name: getattr(theirs.tire, name) for name in TYRE._fields}
+
+
+THEIRS = [0, LEFT, ANGLE, SPEED, HEADING, YAW_RATE, DRIFT, WHEELS, WHEELS + 1]
+"""Of our states those of the source's drift model, in its order."""
+
+
+def test_right_hand_side_of_a_car_that_steers_is_that_of_the_drift_model() -> None:
+    v, rng, out = BMW_320I, np.random.default_rng(2), np.empty(STATES)
+    theirs = setup_vehicle_parameters(2)
+    for offset in ("p_hx1", "p_vx1", "r_hx1", "r_hy1", "r_vy1", "r_by3"):  # these push, or tell left from right
+        setattr(theirs.tire, offset, 0.0)
+    theirs.I_y_w *= 2.0  # of the two wheels of an axle
+    for _ in range(300):
+        x, speed = np.zeros(STATES), rng.uniform(2.0, 40.0)
+        x[[LEFT, HEADING, YAW_RATE, DRIFT, ANGLE]] = rng.uniform(-1.0, 1.0, 5) * (9.0, 3.0, 1.5, 0.4, 0.6)
+        x[SPEED], x[WHEELS:] = speed, speed / v.R_w * rng.uniform(0.1, 1.1, 2)
+        acceleration = rng.uniform(-v.a_max, v.a_max * min(1.0, v.v_switch / speed))
+        force = 0.5 * v.m * v.R_w
+        brake, drive = max(0.0, -acceleration) * force, max(0.0, acceleration) * force
+        shares = v.T_sb * brake, (1.0 - v.T_sb) * brake, v.T_se * drive, (1.0 - v.T_se) * drive
+        derivative(x, WheelTorques(*shares, 2.0, 3.0, acceleration, steered=True), v, TYRE, 1.0, out)
+        expected = np.array(vehicle_dynamics_std(x[THEIRS].tolist(), [0.0, acceleration], theirs))
+        np.testing.assert_allclose(out[THEIRS], expected, rtol=1e-9, atol=1e-9)
+
+
+def steered(setting: Scenario, speed: float, commands: Any, step: float = 0.001) -> np.ndarray:
+    """Path from the origin northwards under commands of a tick each."""
+    car = MultiBodyCar(setting, step=step)
+    car.reset(CarState(0.0, 0.0, math.pi / 2, speed))
+    quiet = car.draw(np.random.default_rng(0))
+    return np.concatenate([car.advance(command, TICK, quiet)[1:] for command in commands])
+
+
+@pytest.mark.parametrize("speed", [0.2, 2.0, 8.0])
+def test_a_car_whose_axles_slip_alike_drives_the_circle_of_its_wheelbase(speed: float) -> None:
+    """Tyres are as stiff as they are loaded, so at small slip it neither under- nor oversteers."""
+    path = steered(scenario(), speed, [(0.0, 0.03)] * 20)[200:]
+    turned = math.remainder(path[-1, 2] - path[0, 2], math.tau)
+    driven = np.hypot(*np.diff(path[:, :2], axis=0).T).sum()
+    assert turned / driven == pytest.approx(math.tan(0.03) / (BMW_320I.a + BMW_320I.b), rel=0.02)
+
+
+@settings(max_examples=30)
+@given(
+    commands=st.lists(st.tuples(st.floats(-15.0, 3.0), st.floats(-0.6, 0.6)), min_size=1, max_size=8),
+    friction=st.floats(0.3, 1.0),
+    speed=st.floats(0.0, 25.0),
+)
+def test_tyres_bound_what_a_car_that_steers_does(commands, friction, speed):
+    """Sliding and braking together push by at most a tenth more than braking alone, as in the source's formulas.
+
+    A mirrored command drives the mirrored path, and steps half as long the same one.
+    """
+    commands = [(0.0, 0.1), *commands]
+    path = steered(scenario(friction), speed, commands)
+    velocity = np.diff(path[:, :2], axis=0) / 0.01
+    assert (np.hypot(*np.diff(velocity, axis=0).T) / 0.01).max() <= 1.1 * friction * TYRE.p_dx1 * 9.81 + 0.05
+    mirrored = steered(scenario(friction), speed, [(acceleration, -angle) for acceleration, angle in commands])
+    np.testing.assert_allclose(mirrored[:, :2] * (-1.0, 1.0), path[:, :2], atol=1e-6)
+    np.testing.assert_allclose(np.sin(mirrored[:, 2]), np.sin(path[:, 2]), atol=1e-6)
+    finer = steered(scenario(friction), speed, commands, step=0.0005)
+    np.testing.assert_allclose(finer[-1, :2], path[-1, :2], atol=0.01)
+
+
+def test_a_steered_car_starts_where_the_straight_one_is() -> None:
+    straight, bent = (steered(scenario(), 8.0, [(-2.0, 0.0)] * 2 + [(-2.0, a)] * 2) for a in (0.0, 1e-12))
+    np.testing.assert_allclose(bent, straight, atol=2e-3)  # the pitch is lost
+    assert np.array_equal(bent[: len(bent) // 2], straight[: len(bent) // 2])

@@ -209,11 +209,17 @@ def test_answers_are_two_finite_numbers_and_may_be_a_curvature() -> None:
     assert same(run(spec, bent), run(spec, Constant((0.0, math.atan(WHEELBASE * 0.1)))))
 
 
-def test_what_a_car_cannot_steer_is_clipped_or_refused() -> None:
+def test_what_a_car_cannot_steer_is_clipped() -> None:
     log = run(episode(period=None), Constant((0.0, 1.0)))
     assert log.clipped == len(log.car) - 1
-    with pytest.raises(UsageError, match="multi_body"):
-        run(episode(period=None, scenario=load_scenario("crossing_multi_body")), Constant((0.0, 0.1)))
+
+
+def test_a_car_with_tyres_steers_and_leaves_the_road() -> None:
+    scenario = load_scenario("crossing_multi_body")
+    logs = [run(far_away(scenario), Constant((0.0, 0.1), control_period=0.05)) for _ in range(2)]
+    assert same(*logs)
+    assert collision_partner(logs[0]) == ROAD_EDGE
+    assert not examine(logs[0]).fault
 
 
 def two_lanes(**changes: Any) -> Scenario:

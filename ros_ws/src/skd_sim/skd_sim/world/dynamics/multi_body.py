@@ -1,14 +1,16 @@
-"""The multi-body car, a BMW 320i that goes straight: command → brake and engine → wheels → motion, at 1 ms.
+"""The multi-body car, a BMW 320i: command → brake, engine and steering → wheels → motion, at 1 ms.
 
-The equations are those of Althoff and Würsching, "CommonRoad: Vehicle Models" (2020), section "Multi-Body Model", which
-follow the vehicle dynamics of the US Department of Transportation (Allen et al., DOT HS 807 956, 1992), for a car that
-does not steer: left and right are alike, so all that rolls, yaws or slides is zero. Valid from walking pace on; below
-it slip is not defined.
+The equations are those of Althoff and Würsching, "CommonRoad: Vehicle Models" (2020). Until its first steering command
+other than 0 those of section "Multi-Body Model", which follow the vehicle dynamics of the US Department of
+Transportation (Allen et al., DOT HS 807 956, 1992): left and right are alike, so all that rolls, yaws or slides is
+zero. From then on the "Single-Track Drift Model": it yaws and slides, and the load moves between the axles at once. The
+body neither rolls nor pitches. Both are valid from walking pace on; below it slip is not defined.
 
 Parameters: vehicle 2 of CommonRoad, tables 6 and 7, with the values of the package commonroad-vehicle-models 3.0.2
 (BSD-3-Clause); symbols are theirs, so that equations and tables can be compared. Tyre forces: the Magic Formula of pure
-slip (Pacejka), as reduced in section 9, without the offsets by which a tyre pushes at zero slip and makes energy from
-nothing. Road friction scales the peak coefficient (Pacejka's λ_μ) and leaves the slip stiffness alone.
+and of combined slip (Pacejka), as reduced in section 9, without the offsets by which a tyre pushes at zero slip, makes
+energy from nothing, and tells left from right. Road friction scales the peak coefficients (Pacejka's λ_μ) and leaves
+the slip stiffness alone.
 
 The brake has a dead time and then a pressure that changes at a limited rate, as every friction brake. UN Regulation
 13-H allows a passenger car 0.6 s from the pedal to the required deceleration; the equation of its stopping distance,
@@ -22,15 +24,14 @@ Fourth-order Runge-Kutta. The stiffest part is a wheel's spin against its tyre, 
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import GRAVITY, PEAK_FRICTION, Noise
-from skd_sim.world.state import CarState, FloatArray, draw_relative
+from skd_sim.world.state import CarState, FloatArray, draw_relative, on_grid
 
 
 class Vehicle(NamedTuple):
@@ -43,6 +44,7 @@ class Vehicle(NamedTuple):
     a: float = 1.1561957064  # centre of gravity to front axle, m
     b: float = 1.4227170936  # centre of gravity to rear axle, m
     I_y_s: float = 1565.8178787125541  # moment of inertia of the sprung mass, pitch, kg·m²
+    I_z: float = 1791.5995300122856  # moment of inertia, yaw, kg·m²
     K_sf: float = 24453.137879749014  # spring rate, front, N/m
     K_sdf: float = 1786.2441002440723  # damping rate, front, N·s/m
     K_sr: float = 19635.504745231297  # spring rate, rear, N/m
@@ -55,6 +57,7 @@ class Vehicle(NamedTuple):
     T_se: float = 0.0  # share of the front axle in the engine torque
     a_max: float = 11.5  # greatest acceleration, m/s²
     v_switch: float = 7.319  # speed from which power limits the acceleration, m/s
+    v_max: float = 0.4  # greatest rate of the steering angle, rad/s
 
 
 class Tyre(NamedTuple):
@@ -64,6 +67,18 @@ class Tyre(NamedTuple):
     p_dx1: float = PEAK_FRICTION
     p_ex1: float = 0.46403
     p_kx1: float = 22.303
+    r_bx1: float = 13.276
+    r_bx2: float = -13.778
+    r_cx1: float = 1.2568
+    r_ex1: float = 0.65225
+    p_cy1: float = 1.3507
+    p_dy1: float = 1.0489
+    p_ey1: float = -0.0074722
+    p_ky1: float = -21.92
+    r_by1: float = 7.1433
+    r_by2: float = 9.1916
+    r_cy1: float = 1.0719
+    r_ey1: float = -0.27572
 
 
 BMW_320I, TYRE = Vehicle(), Tyre()
@@ -72,6 +87,8 @@ BMW_320I, TYRE = Vehicle(), Tyre()
 AHEAD, SPEED, PITCH, PITCH_RATE, HEIGHT, VERTICAL_SPEED = range(6)
 FRONT, REAR = 6, 8  # of each axle: height, vertical speed
 WHEELS = 10  # angular speeds of the front and of the rear wheels, rad/s
+# Of a car that has been steered; place, heading and speed are the world's: AHEAD is x, SPEED that along its course.
+LEFT, HEADING, YAW_RATE, DRIFT, ANGLE = range(2, 7)  # y, m; rad; rad/s; course less heading, and of the front wheels
 STATES = 12
 LOW_SPEED = 0.3  # m/s
 _STEP = 0.001  # s
@@ -107,6 +124,27 @@ def tyre_force(slip: float, load: float, tyre: Tyre, friction: float) -> float:
     return peak * load * math.sin(tyre.p_cx1 * _curve(stiffness, tyre.p_ex1, -slip))
 
 
+@kernel
+def tyre_forces(slip: float, angle: float, load: float, tyre: Tyre, friction: float) -> tuple[float, float]:
+    """Return the forces along and to the left of an axle's wheels, N, which lessen each other.
+
+    Args:
+        slip: see `tyre_force`, as the others.
+        angle: by which the wheels' course is to the left of where they point, rad.
+        load: vertical force, N.
+        tyre: coefficients of the tyre.
+        friction: friction of the road.
+    """
+    peak = friction * tyre.p_dy1
+    curve = _curve(tyre.p_ky1 / (tyre.p_cy1 * peak), tyre.p_ey1, angle)
+    aside = peak * load * math.sin(tyre.p_cy1 * curve)
+    slope = tyre.r_by1 * math.cos(math.atan(tyre.r_by2 * angle))
+    aside *= math.cos(tyre.r_cy1 * _curve(slope, tyre.r_ey1, slip))
+    slope = tyre.r_bx1 * math.cos(math.atan(tyre.r_bx2 * slip))
+    along = tyre_force(slip, load, tyre, friction) * math.cos(tyre.r_cx1 * _curve(slope, tyre.r_ex1, angle))
+    return along, aside
+
+
 def peak_slip(tyre: Tyre, friction: float) -> float:
     """Return the slip at which a rolling tyre brakes best, found by bisection on the curve."""
     slope = tyre.p_kx1 / (tyre.p_cx1 * friction * tyre.p_dx1)
@@ -127,6 +165,8 @@ class WheelTorques(NamedTuple):
     drive_rear: float
     release_begin: float  # slip from which the anti-lock brake releases
     release_end: float  # slip at which it has released altogether
+    pull: float = 0.0  # acceleration by which the load moves between the axles of a car that was steered, m/s²
+    steered: bool = False
 
 
 class _Axle(NamedTuple):
@@ -137,6 +177,17 @@ class _Axle(NamedTuple):
     spring: float
     damper: float
     mass: float
+
+
+@kernel
+def _spin(
+    speed: float, slip: float, force: float, brake: float, drive: float, command: WheelTorques, vehicle: Vehicle
+) -> float:
+    """Return the angular acceleration of a wheel of an angular speed (rad/s), rad/s²."""
+    if slip > command.release_begin:
+        brake *= max(0.0, (command.release_end - slip) / (command.release_end - command.release_begin))
+    rate = (drive - brake - vehicle.R_w * force) / vehicle.I_y_w
+    return 0.0 if speed <= 0.0 and rate < 0.0 else rate  # a brake does not turn a wheel backwards
 
 
 @kernel
@@ -163,11 +214,35 @@ def _axle(
     lift = 2.0 * (axle.static - travel * axle.spring - travel_rate * axle.damper)
     out[at] = x[at + 1]
     out[at + 1] = GRAVITY - (2.0 * load - lift) / axle.mass
-    if slip > command.release_begin:
-        brake *= max(0.0, (command.release_end - slip) / (command.release_end - command.release_begin))
-    rate = (drive - brake - radius * force) / vehicle.I_y_w
-    out[wheels] = 0.0 if x[wheels] <= 0.0 and rate < 0.0 else rate  # a brake does not turn a wheel backwards
+    out[wheels] = _spin(x[wheels], slip, force, brake, drive, command, vehicle)
     return 2.0 * force, lift
+
+
+@kernel
+def _steered_derivative(
+    x: FloatArray, command: WheelTorques, v: Vehicle, tyre: Tyre, friction: float, out: FloatArray
+) -> None:
+    """Write the time derivative of the states of a car that was steered; see `derivative`."""
+    speed, rate, drift, angle = x[SPEED], x[YAW_RATE], x[DRIFT], x[ANGLE]
+    ahead, left = speed * math.cos(drift), speed * math.sin(drift)
+    fixed, moved, base = v.m * GRAVITY, v.m * command.pull * v.h_s, v.a + v.b
+    rolls = max(LOW_SPEED, ahead * math.cos(angle) + (left + v.a * rate) * math.sin(angle))
+    slip_f, slip_r = 1.0 - v.R_w * x[WHEELS] / rolls, 1.0 - v.R_w * x[WHEELS + 1] / max(LOW_SPEED, ahead)
+    course_f = math.atan((left + v.a * rate) / max(LOW_SPEED, ahead))
+    course_r = math.atan((left - v.b * rate) / max(LOW_SPEED, ahead))
+    along_f, aside_f = tyre_forces(slip_f, course_f - angle, (fixed * v.b - moved) / base, tyre, friction)
+    along_r, aside_r = tyre_forces(slip_r, course_r, (fixed * v.a + moved) / base, tyre, friction)
+    push = along_f * math.cos(angle) - aside_f * math.sin(angle) + along_r
+    turn = along_f * math.sin(angle) + aside_f * math.cos(angle)
+    out[:] = 0.0
+    out[AHEAD], out[LEFT] = speed * math.cos(x[HEADING] + drift), speed * math.sin(x[HEADING] + drift)
+    out[SPEED] = (push * math.cos(drift) + (turn + aside_r) * math.sin(drift)) / v.m
+    out[HEADING], out[YAW_RATE] = rate, (v.a * turn - v.b * aside_r) / v.I_z
+    out[DRIFT] = ((turn + aside_r) * math.cos(drift) - push * math.sin(drift)) / (v.m * speed) - rate
+    brake, drive = command.brake_front, command.drive_front
+    out[WHEELS] = _spin(x[WHEELS], slip_f, 0.5 * along_f, brake, drive, command, v)
+    brake, drive = command.brake_rear, command.drive_rear
+    out[WHEELS + 1] = _spin(x[WHEELS + 1], slip_r, 0.5 * along_r, brake, drive, command, v)
 
 
 @kernel
@@ -185,6 +260,9 @@ def derivative(
         out: overwritten.
     """
     v = vehicle
+    if command.steered:
+        _steered_derivative(x, command, v, tyre, friction, out)
+        return
     share = v.m_s * GRAVITY / (2.0 * (v.a + v.b))
     front = _Axle(v.a, share * v.b, v.K_sf, v.K_sdf, v.m_uf)
     rear = _Axle(-v.b, share * v.a, v.K_sr, v.K_sdr, v.m_ur)
@@ -257,15 +335,24 @@ def _runge_kutta(
 
 
 @kernel
-def _roll(x: FloatArray, rest: FloatArray, acceleration: float, step: float, radius: float) -> None:
+def _roll(x: FloatArray, rest: FloatArray, acceleration: float, step: float, vehicle: Vehicle, steered: bool) -> None:
     """Advance the car as one body at walking pace, its springs at rest; only an engine makes wheels turn faster."""
     before, after = x[SPEED], max(0.0, x[SPEED] + acceleration * step)
-    x[AHEAD] += 0.5 * step * (before + after)
+    distance = 0.5 * step * (before + after)
     x[SPEED] = after
-    for i in range(PITCH, WHEELS):
-        x[i] = rest[i]
+    if steered:
+        bend = math.tan(x[ANGLE]) / (vehicle.a + vehicle.b)
+        x[DRIFT] = math.atan(vehicle.b * bend)
+        bend *= math.cos(x[DRIFT])
+        x[AHEAD] += distance * math.cos(x[HEADING] + x[DRIFT])
+        x[LEFT] += distance * math.sin(x[HEADING] + x[DRIFT])
+        x[HEADING], x[YAW_RATE] = x[HEADING] + bend * distance, bend * after
+    else:
+        x[AHEAD] += distance
+        for i in range(PITCH, WHEELS):
+            x[i] = rest[i]
     for i in range(WHEELS, STATES):
-        x[i] = after / radius if acceleration > 0.0 else min(x[i], after / radius)
+        x[i] = after / vehicle.R_w if acceleration > 0.0 else min(x[i], after / vehicle.R_w)
 
 
 @kernel
@@ -273,7 +360,8 @@ def _advance(
     x: FloatArray,
     brake: FloatArray,
     rest: FloatArray,
-    acceleration: float,
+    demand: tuple[float, float],
+    steered: bool,
     brake_rate: float,
     slips: tuple[float, float],
     stiffness: float,
@@ -284,19 +372,24 @@ def _advance(
     steps_per_knot: int,
     path: FloatArray,
 ) -> None:
-    """Drive on, and write how far ahead and how fast it is at every knot but the first to `path`."""
+    """Drive on, and write pose and speed at every knot but the first to `path`; not steered, the way for x alone."""
     work = np.empty((5, STATES))
     # The wheels' spin is braked, too: with its share a command within the grip is what the car does.
     mass_radius = vehicle.m * vehicle.R_w + 4.0 * vehicle.I_y_w / vehicle.R_w
     grip = friction * tyre.p_dx1 * GRAVITY
+    acceleration, angle = demand
+    turn = vehicle.v_max * step
     for knot in range(1, path.shape[0]):
         for _ in range(steps_per_knot):
             slowing = apply_brake(brake, max(0.0, -acceleration), brake_rate, step)
             speed = x[SPEED]
             limit = vehicle.a_max * min(1.0, vehicle.v_switch / max(speed, vehicle.v_switch))
             driving = 0.0 if slowing > 0.0 else min(limit, max(0.0, acceleration))
+            pull = driving - min(grip, slowing)
+            if steered:
+                x[ANGLE] += min(turn, max(-turn, angle - x[ANGLE]))
             if speed < LOW_SPEED:
-                _roll(x, rest, driving - min(grip, slowing), step, vehicle.R_w)
+                _roll(x, rest, pull, step, vehicle, steered)
                 continue
             command = WheelTorques(
                 0.5 * vehicle.T_sb * mass_radius * slowing,
@@ -305,11 +398,13 @@ def _advance(
                 0.5 * (1.0 - vehicle.T_se) * mass_radius * driving,
                 slips[0],
                 slips[1],
+                pull,
+                steered,
             )
             parts = math.ceil(step * stiffness / (_STABLE * speed))
             for _ in range(parts):
                 _runge_kutta(x, command, vehicle, tyre, friction, step / parts, work)
-        path[knot, 0], path[knot, 1] = x[AHEAD], x[SPEED]
+        path[knot, 0], path[knot, 1], path[knot, 2], path[knot, 3] = x[AHEAD], x[LEFT], on_grid(x[HEADING]), x[SPEED]
 
 
 def rest_state(vehicle: Vehicle) -> FloatArray:
@@ -325,7 +420,7 @@ def rest_state(vehicle: Vehicle) -> FloatArray:
 
 
 class MultiBodyCar:
-    """BMW 320i of CommonRoad, driven by an acceleration command; it goes straight.
+    """BMW 320i of CommonRoad, driven by acceleration and steering angle; it goes straight until it is steered.
 
     A negative command is a demand on the brake, which takes its delay, rate and capacity from the scenario; a positive
     one is engine torque, up to the vehicle's power. Torques are those at which the car, tyres permitting, accelerates
@@ -335,10 +430,8 @@ class MultiBodyCar:
 
     Attributes:
         state: its states, since it was reset.
-        steered: never.
+        steered: whether it has been steered since.
     """
-
-    steered: Final = False
 
     def __init__(self, scenario: Scenario, *, step: float = _STEP) -> None:
         """Build the car.
@@ -364,7 +457,7 @@ class MultiBodyCar:
 
     def reset(self, car: CarState) -> None:
         """Put the car on the road, rolling freely with its brake released."""
-        self._origin = car
+        self._origin, self.steered = car, False
         self.state = self._rest.copy()
         self.state[SPEED] = car.speed
         self.state[WHEELS:] = car.speed / BMW_320I.R_w
@@ -378,22 +471,26 @@ class MultiBodyCar:
         """Drive on; see `CarDynamics`.
 
         Raises:
-            UsageError: the command steers.
             ValueError: the duration is not a whole number of parts of about 10 ms of the scenario's control period.
         """
         acceleration, steering = command
-        if steering:
-            raise UsageError("the controller steers, which car.dynamics multi_body cannot; take a scenario with basic")
+        x, y, heading, _ = self._origin
+        if steering != 0.0 and not self.steered:
+            self.steered, gone = True, self.state[AHEAD]
+            self.state[PITCH:WHEELS] = 0.0
+            self.state[[AHEAD, LEFT, HEADING]] = x + math.cos(heading) * gone, y + math.sin(heading) * gone, heading
         knots = round(duration / self._knot)
         if knots < 1 or abs(knots * self._knot - duration) > 1e-9:
             raise ValueError(f"duration {duration:g} s must be a multiple of {self._knot:g} s")
-        driven = np.empty((knots + 1, 2))
-        driven[0] = self.state[[AHEAD, SPEED]]
+        driven = np.empty((knots + 1, 4))
+        driven[0] = self.state[[AHEAD, LEFT, HEADING, SPEED]]
+        driven[0, 2] = on_grid(driven[0, 2])
         _advance(
             self.state,
             self._brake,
             self._rest,
-            max(-self._car.brake_limit, acceleration * (1.0 + noise.acceleration)),
+            (max(-self._car.brake_limit, acceleration * (1.0 + noise.acceleration)), steering),
+            self.steered,
             self._car.brake_rate,
             self._slips,
             self._stiffness,
@@ -404,9 +501,10 @@ class MultiBodyCar:
             self._steps_per_knot,
             driven,
         )
-        x, y, heading, _ = self._origin
+        if self.steered:
+            return driven
         path = np.full((knots + 1, 4), heading)
         path[:, 0] = x + math.cos(heading) * driven[:, 0]
         path[:, 1] = y + math.sin(heading) * driven[:, 0]
-        path[:, 3] = driven[:, 1]
+        path[:, 3] = driven[:, 3]
         return path
