@@ -1,7 +1,8 @@
-"""Which episodes and φ of a result are written, and the formats in which they are."""
+"""The work of `skd export`: which episodes and φ of a result are written, and the formats in which they are."""
 
 from __future__ import annotations
 
+import argparse
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,18 +10,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_adversary.safe_trajectories.sources import read_csv_trajectory
+from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import FloatArray
 
+from skd_evaluator.assessment.files.assessment_json import understood
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER
-from skd_evaluator.extensions.exchange.osi import osi_name, write_osi
-from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpisode, actors_of, start_of
-from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
+from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.output import finish
+from skd_evaluator.extensions.exchange import scene
+from skd_evaluator.extensions.exchange.osi import osi_name, osi_writer, write_osi
+from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, EXPORT, ROAD_FILE, ExportedEpisode
+from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario, write_road
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
-from skd_evaluator.report.html.subjects import Subject, chosen_episodes
+from skd_evaluator.report.formats import counted
+from skd_evaluator.report.html.subjects import Subject, chosen_episodes, read_one
 from skd_evaluator.report.repeat import SCENARIO_FILE, TRAJECTORY_FILE
+from skd_evaluator.version import version
 
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
 
@@ -61,12 +70,45 @@ FORMATS = {
     "csv": Format(_write_csv, lambda recorded: f"{recorded.stem}.csv"),
 }
 
-
 _UNKNOWN_DATE = "1970-01-01T00:00:00Z"
 
 
-Export = tuple[ExportedEpisode, dict[str, Any]]
-"""What is written, and what export.json says of it."""
+def run(arguments: argparse.Namespace) -> int:
+    """Write what is requested of a result, or a trial; return the exit code."""
+    kind = FORMATS[arguments.format]
+    if kind.write is write_osi:
+        osi_writer()  # that its libraries are there
+    if trial := trial_of(arguments.path):
+        if given := [name for name in ("episode", "worst", "objective") if getattr(arguments, name) is not None]:
+            raise UsageError(f"--{given[0]}: {arguments.path} is one trial")
+        what, going, warnings = "the trial", [trial], list[str]()
+    else:
+        subject = read_one([arguments.path])
+        with understood(arguments.path):
+            numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
+            going = exports_of(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
+        what, warnings = f"{len(going) - len(numbers)} φ and {counted(len(numbers), 'episode')}", subject.warnings
+    out = result_folder(arguments)
+    files = {kind.name(one): one for one in going}
+    content = {
+        "export": 1,
+        "skd": version(),
+        "result": str(arguments.path),
+        "format": arguments.format,
+        "road": ROAD_FILE if kind.with_road else None,
+        "files": [{"file": name, **one.about} for name, one in files.items()],
+    }
+
+    def write(folder: Path) -> None:
+        if kind.with_road:
+            write_road(folder / ROAD_FILE, going)
+        for name, one in files.items():
+            kind.write(folder / name, one)
+        write_json(folder / EXPORT, content)
+
+    problem = out.save(write)
+    said = [] if problem else [f"{what} as {arguments.format} in {out.path}; {EXPORT} says which file is which"]
+    return finish(arguments, content, lambda: print(*said, sep="\n", end="\n" * len(said)), warnings, [problem])
 
 
 def selected_episodes(subject: Subject, episode: int | None, worst: int | None, objective: str | None) -> list[int]:
@@ -95,7 +137,7 @@ def selected_episodes(subject: Subject, episode: int | None, worst: int | None, 
     return sorted(found) if worst is None else found[:worst]
 
 
-def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, with_car: bool) -> list[Export]:
+def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, with_car: bool) -> list[ExportedEpisode]:
     """Return the φ of some episodes, or every φ where there is no episode, and then the episodes.
 
     Args:
@@ -110,15 +152,15 @@ def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, w
     return found + [_episode(subject, number, whole_ticks=whole_ticks, with_car=with_car) for number in numbers]
 
 
-def _phi(subject: Subject, index: int) -> Export:
+def _phi(subject: Subject, index: int) -> ExportedEpisode:
     """Return a φ: the adversary and the others, and where the car begins."""
     name, scenario = _name(subject, index), subject.scenario
-    title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {scenario.name}, {subject.label}")
-    recorded = _walk(scenario, subject.episodes.safe[index], f"phi_{index:03d}", title, _date(subject))
-    return recorded, {"mode": Mode.SAFE.name.lower(), "phi": index, "phi_name": name, "title": title}
+    title = f"SKD: safe trajectory φ {index} ({name}) of {scenario.name}, {subject.label}"
+    about = {"mode": Mode.SAFE.name.lower(), "phi": index, "phi_name": name}
+    return _walk(scenario, subject.episodes.safe[index], f"phi_{index:03d}", title, _date(subject), about)
 
 
-def trial_of(folder: Path) -> Export | None:
+def trial_of(folder: Path) -> ExportedEpisode | None:
     """Return the trial that a folder of `skd compare --explain`, `skd bisect` or `skd log` holds; None: it holds none.
 
     Raises:
@@ -128,35 +170,38 @@ def trial_of(folder: Path) -> Export | None:
         return None
     scenario = load_scenario(str(folder / SCENARIO_FILE))
     walked = read_csv_trajectory(folder / TRAJECTORY_FILE, scenario).positions
-    title = one_line(f"SKD: trial {folder.resolve().name} of {scenario.name}")
-    recorded = _walk(scenario, walked, "trial", title, _UNKNOWN_DATE)
-    return recorded, {"mode": Mode.REPLAY.name.lower(), "title": title}
+    title = f"SKD: trial {folder.resolve().name} of {scenario.name}"
+    return _walk(scenario, walked, "trial", title, _UNKNOWN_DATE, {"mode": Mode.REPLAY.name.lower()})
 
 
-def _walk(scenario: Scenario, walked: FloatArray, stem: str, title: str, date: str) -> ExportedEpisode:
+def _walk(
+    scenario: Scenario, walked: FloatArray, stem: str, title: str, date: str, about: dict[str, Any]
+) -> ExportedEpisode:
     """Return a trajectory of the adversary, n × 2, m, with the others, and where the car begins."""
-    times = scenario.time_step * np.arange(len(walked), dtype=np.float64)
+    times, title = scenario.time_step * np.arange(len(walked), dtype=np.float64), one_line(title)
     course = EpisodeMotion(times, walked, np.full((len(walked), 4), np.nan))
-    actors = actors_of(scenario, course, with_car=False)
-    return ExportedEpisode(stem, title, scenario, actors, start_of(scenario, walked), float(times[-1]), date)
+    actors, start = scene.actors_of(scenario, course, with_car=False), scene.start_of(scenario, walked)
+    return ExportedEpisode(
+        stem, title, scenario, actors, start, float(times[-1]), date, about={**about, "title": title}
+    )
 
 
-def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> Export:
+def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> ExportedEpisode:
     episodes, scenario = subject.episodes, subject.scenario
     hit = bool(episodes.collided[number])
     contact = None if whole_ticks else episodes.contact(number)
     course = course_of(scenario, episodes.adversary[number], episodes.car[number], contact)
-    actors, duration = actors_of(scenario, course, with_car=True), float(course.times[-1])
+    actors, duration = scene.actors_of(scenario, course, with_car=True), float(course.times[-1])
     x, y, heading, speed = actors[0].states[0].tolist()
     index, id_, objective = (one[number] for one in (episodes.safe_index, episodes.episode_id, episodes.objective))
     name, outcome = _name(subject, int(index)), Outcome(int(episodes.outcome[number])).name.lower()
     who = f"kamikaze of objective {objective}" if objective else "run along φ"
-    of = f"φ {index} ({name}) of {scenario.name}, {subject.label}"
-    entry = {
+    title = one_line(f"SKD: {who}, episode {id_}, φ {index} ({name}) of {scenario.name}, {subject.label}: {outcome}")
+    about = {
         "mode": Mode(int(episodes.mode[number])).name.lower(),
         "phi": int(index),
         "phi_name": name,
-        "title": (title := one_line(f"SKD: {who}, episode {id_}, {of}: {outcome}")),
+        "title": title,
         "episode_id": int(id_),
         "objective": str(objective),
         "outcome": outcome,
@@ -167,7 +212,7 @@ def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool
     }
     stem = f"kamikaze_{re.sub(r'[^A-Za-z0-9_]', '-', str(objective))}_{id_}" if objective else f"along_{id_}"
     start, shown = (x, y, heading, speed), actors if with_car else actors[1:]
-    return ExportedEpisode(stem, title, scenario, shown, start, duration, _date(subject), whole_ticks), entry
+    return ExportedEpisode(stem, title, scenario, shown, start, duration, _date(subject), whole_ticks, about)
 
 
 def _name(subject: Subject, index: int) -> str:

@@ -1,25 +1,41 @@
-"""A track that came in as a safe trajectory: checked, placed in the frame `map`, and cut to the crossing."""
+"""The work of `skd import`: tracks that come in are checked, placed in the frame `map`, and cut to the crossing."""
 
 from __future__ import annotations
 
+import argparse
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.recordings import in_car_frame, interpolated, write_trajectory
+from rich.markup import escape
+from skd_adversary.safe_trajectories import recordings
+from skd_adversary.safe_trajectories.recordings import interpolated
 from skd_adversary.safe_trajectories.sources import safe_trajectory
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
-from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.road_user import ROAD_USERS
+from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.state import FloatArray
 
+from skd_evaluator.assessment.files.result_folder import write_json
+from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.tracks import GAP, Listed, RecordingFrame, Track
-from skd_evaluator.extensions.exchange.readers import TrackSource
+from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.output import finish, warn
+from skd_evaluator.extensions.exchange.import_command import BY_CAR
+from skd_evaluator.extensions.exchange.readers import ImportRequest, TrackSource, files_in, listing, read_sources
+from skd_evaluator.extensions.exchange.scene import IMPORT
 from skd_evaluator.report.formats import counted
+from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_evaluator.version import version
 
+SAFE = "safe"
+"""Folder of the trajectories, in that of the result."""
+_SHOWN = 20
 _ON_FOOT = 12.5  # m/s, faster than any pedestrian runs
 _LEAST_DRIVE = 0.5  # m that a car moves, or it has no direction
 _FARTHEST_ASIDE = 2.0  # m
@@ -85,7 +101,7 @@ class ImportedTrajectory:
 
     def write(self, path: Path) -> None:
         """Write it as csv with the columns t, x, y, which `--safe` reads."""
-        write_trajectory(path, self.times, self.places)
+        recordings.write_trajectory(path, self.times, self.places)
 
 
 def trajectory_of(
@@ -150,7 +166,7 @@ def by_car(car: Track, user: Track, crossing: float) -> tuple[FloatArray, str]:
     """
     if np.hypot(*np.ptp(car.places, axis=0)) < _LEAST_DRIVE:
         raise UnusableError("the car does not drive, so nothing says where North is")
-    seen = in_car_frame(car.places, user.places)
+    seen = recordings.in_car_frame(car.places, user.places)
     if seen.aside > _FARTHEST_ASIDE:
         raise UnusableError(f"the car is up to {seen.aside:.2f} m off a straight line: cut it, or give --frame")
     said = f"North is where the car drives (at most {seen.aside:.2f} m off its line), y = 0 where its line is crossed"
@@ -198,3 +214,122 @@ def at_ticks(one: ImportedTrajectory, scenario: Scenario) -> FloatArray:
     except UsageError as error:
         raise UnusableError(re.sub(r"^(, line \d+)?: ", "", str(error).removeprefix(str(path)))) from error
     return read.positions
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Import tracks, or with --list say what files hold; return the exit code."""
+    ROAD_USERS.target(arguments.kind)  # that there is such a kind
+    damage = Damage(skip=True)
+    if arguments.list:
+        return _list(arguments, damage)
+    scenario = None if arguments.scenario is None else load_scenario(arguments.scenario)
+    frame = None
+    if arguments.frame != BY_CAR:
+        x, y, degrees = arguments.frame
+        frame = RecordingFrame(x, y, math.radians(degrees))
+    same = ("road_user", "car", "kind", "map_frame", "longest_gap", "begin", "end")
+    given = {name: getattr(arguments, name) for name in same}
+    out = result_folder(arguments)
+    request = ImportRequest(needs_car=frame is None, tf=arguments.tf_topic, **given)
+    found, left_out = _imported(arguments.paths, request, frame, scenario, damage)
+    if not found:
+        path, name, why = left_out[0]
+        more = f" (and {len(left_out) - 1} more are left out)" if len(left_out) > 1 else ""
+        raise UsageError(f"{path}, {name}: {why}{more}: nothing is left")
+    named = dict(zip(_file_names(found), found, strict=True))
+    content = {
+        "import": 1,
+        "skd": version(),
+        "scenario": arguments.scenario,
+        "files": [one.entry(f"{SAFE}/{name}") for name, one in named.items()],
+        "left_out": [{"source": str(path), "road_user": name, "why": why} for path, name, why in left_out],
+        "warnings": damage.lines,
+    }
+
+    def write(folder: Path) -> None:
+        (folder / SAFE).mkdir()
+        for name, one in named.items():
+            one.write(folder / SAFE / name)
+        write_json(folder / IMPORT, content)
+
+    problem = out.save(write)
+
+    def show() -> None:
+        warn("import", damage.lines)
+        for name, one in list(named.items())[:_SHOWN]:
+            print(f"{name}: {one.source.format}, {one.track.name}: {one.text}")
+        warn("import", [f"{path}, {who}, left out: {why}" for path, who, why in left_out[:_SHOWN]])
+        if max(len(found), len(left_out)) > _SHOWN:
+            print(f"{len(found)} imported, {len(left_out)} left out; {IMPORT} has all of them")
+        if not problem:
+            behind = f" --scenario {arguments.scenario}" if arguments.scenario else ""
+            print(f"next: skd assess --safe {out.path / SAFE} --safe-count {len(found)}{behind}")
+
+    return finish(arguments, content, show, failures=[problem])
+
+
+def _list(arguments: argparse.Namespace, damage: Damage) -> int:
+    """Say what files hold; return the exit code."""
+    held = {}
+    for files in files_in(arguments.paths, damage)[0]:
+        name = str(files[0] if len(files) == 1 else files[0].parent)
+        held[name] = [one.as_dict() for one in listing(files, damage, arguments.topics)]
+
+    def show() -> None:
+        for path, every in held.items():
+            rows = []
+            for one in every:
+                rate, gaps = "", ""
+                if one["rate"] is not None:
+                    rate, gaps = f"{one['rate']:.3g}", f"{one['gaps']} (step ≤ {one['longest_step']:.2f} s)"
+                ends = ("" if one[key] is None else f"{one[key]:.2f}" for key in ("begins", "ends"))
+                name, form, frame, why = (escape(one[key]) for key in ("name", "form", "frame", "why"))
+                rows.append([name, form, str(one["count"]), rate, gaps, *ends, frame, why])
+            heads = ("who", "form", "positions", "a second", "gaps", "from", "to", "frame", "not read because")
+            print_table(narrow_table(path, heads, rows))
+        warn("import", damage.lines)
+
+    return finish(arguments, {"files": held, "warnings": damage.lines}, show)
+
+
+def _imported(
+    paths: Sequence[Path],
+    request: ImportRequest,
+    frame: RecordingFrame | None,
+    scenario: Scenario | None,
+    damage: Damage,
+) -> tuple[list[ImportedTrajectory], list[tuple[Path, str, str]]]:
+    """Return the trajectories that can be used, and of the others file, name and why they cannot."""
+    found: list[ImportedTrajectory] = []
+    compared = []
+    files, exported = files_in(paths, damage)
+    kamikaze = "a kamikaze or a run along φ, which is no safe trajectory"
+    left_out = [(path, "its adversary", kamikaze) for path in exported]
+    for source in (source for one in files for source in read_sources(one, request, damage)):
+        try:
+            one = trajectory_of(source, frame, request.longest_gap, scenario)
+            compared.append(np.column_stack([one.places, one.times]) if scenario is None else at_ticks(one, scenario))
+        except UnusableError as error:
+            left_out.append((source.path, source.found.name, str(error)))
+            continue
+        found.append(one)
+        for note in one.track.notes:
+            damage.warn(f"{one.track.where}: {note}")
+    again = dict(recordings.repeated(compared, moved=False))  # drawn ones may be the same; --safe refuses them
+    for index, first in again.items():
+        source = found[index].source
+        left_out.append((source.path, source.found.name, recordings.duplicate_of(str(found[first].source.path))))
+    return [one for index, one in enumerate(found) if index not in again], left_out
+
+
+def _file_names(found: Sequence[ImportedTrajectory]) -> list[str]:
+    """Return a name of each trajectory's file, no two alike, none that leads elsewhere."""
+    names: dict[str, None] = {}
+    for one in found:
+        stem = re.sub(r"[^\w.-]", "_", one.source.stem, flags=re.ASCII).lstrip(".")[:100] or "track"
+        name, number = stem, 1
+        while f"{name}.csv" in names:
+            number += 1
+            name = f"{stem}_{number}"
+        names[f"{name}.csv"] = None
+    return list(names)

@@ -41,11 +41,6 @@ def osi_writer() -> Any:
     return _found("osi_utilities.tracefile.writers.multi").MultiTraceWriter
 
 
-def _protobuf() -> str:
-    """Return the version of protobuf that messages are written with."""
-    return str(_found("google.protobuf").__version__)
-
-
 def _ground_truth() -> Any:
     return _found("osi3.osi_groundtruth_pb2").GroundTruth
 
@@ -93,12 +88,14 @@ def read_osi(path: Path, damage: Damage | None = None) -> list[Track | Listed]:
         raise UsageError(f"{path}: has no moving object in ground truth of OSI")
     if len(set(roles.values())) < len(roles):  # two that say they are the same
         roles = {number: str(number) for number in roles}
-    found, form = [], "moving object"
-    for number, states in rows.items():
-        name, where, times = roles[number], f"{path}, {roles[number]}", [one[0] for one in states]
-        given = states, where, name, kinds[number], form
-        found.append(track_or_why(where, name, form, Track.of_rows, *given, times=times))
-    return found
+    form = "moving object"
+    return [
+        track_or_why(
+            where := f"{path}, {roles[number]}", roles[number], form,
+            Track.of_rows, states, where, roles[number], kinds[number], form, times=[one[0] for one in states],
+        )
+        for number, states in rows.items()
+    ]  # fmt: skip
 
 
 def _of_mcap(path: Path, damage: Damage) -> Iterator[Any]:
@@ -159,7 +156,7 @@ _FIRST_LANE, _FIRST_BOUNDARY = 10_001, 11_001
 def osi_name(recorded: ExportedEpisode) -> str:
     """Return the name of an episode's file, as the standard recommends it."""
     stamp = "".join(one for one in recorded.date.partition("+")[0].rstrip("Z") if one.isalnum()) + "Z"
-    versions = "".join(map(str, _version())), _protobuf().replace(".", "")
+    versions = "".join(map(str, _version())), _found("google.protobuf").__version__.replace(".", "")
     frames = max(len(one.times) for one in recorded.actors)
     return f"{stamp}_gt_{versions[0]}_{versions[1]}_{frames}_{recorded.stem}.mcap"
 
@@ -170,7 +167,7 @@ def write_osi(path: Path, recorded: ExportedEpisode) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    version, protobuf = ".".join(map(str, _version())), _protobuf()
+    version, protobuf = ".".join(map(str, _version())), str(_found("google.protobuf").__version__)
     about = {
         **dict.fromkeys(("version", "min_osi_version", "max_osi_version"), version),
         **dict.fromkeys(("min_protobuf_version", "max_protobuf_version"), protobuf),

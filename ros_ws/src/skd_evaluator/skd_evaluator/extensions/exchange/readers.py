@@ -22,25 +22,13 @@ from skd_sim.inputs.yaml_file import short
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.world.episode import Mode
 
+from skd_evaluator.bags import tracks
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.files import STORAGES, find_recordings, is_recording, joined, name_of
 from skd_evaluator.bags.messages import read_messages
 from skd_evaluator.bags.read import ADVERSARY as ADVERSARY_TOPIC
 from skd_evaluator.bags.read import CAR as CAR_TOPIC
-from skd_evaluator.bags.tracks import (
-    LONGEST_GAP,
-    TABLE_CAR,
-    TABLE_OTHER,
-    TF,
-    Listed,
-    Track,
-    bag_listing,
-    bag_tracks,
-    listed,
-    one_frame,
-    table_tracks,
-    track_or_why,
-)
+from skd_evaluator.bags.tracks import LONGEST_GAP, TF, Listed, Track, listed, track_or_why
 from skd_evaluator.extensions.exchange.openscenario import OPENSCENARIO, STANDS, read_openscenario
 from skd_evaluator.extensions.exchange.osi import SCHEMA, TRACE, read_osi
 from skd_evaluator.extensions.exchange.scene import ADVERSARY, ADVERSARY_ID, EGO, EGO_ID, EXPORT
@@ -160,7 +148,7 @@ def listing(files: Sequence[Path], damage: Damage, topics: Collection[str] = ())
         topics: only these of a recording; empty: all.
     """
     if is_recording(files[0]) and not _is_osi(files[0]):
-        return bag_listing(files, damage, topics)
+        return tracks.bag_listing(files, damage, topics)
     _, found, _ = _objects_in(files[0], ImportRequest(), damage, every=True)
     return [Listed.of(one) if isinstance(one, Track) else one for one in found]
 
@@ -184,11 +172,11 @@ def read_sources(files: Sequence[Path], request: ImportRequest, damage: Damage |
     if form == LEVELX and request.road_user is None:
         if request.needs_car:
             raise UsageError(f"{path}: --frame car needs one --road-user and one --car of its tracks")
-        every = (
+        found = [
             one if isinstance(one, Listed) else track_or_why(one.where, one.name, one.form, one.cut, *ends)
             for one in found
-        )
-        return [TrackSource(f"{path.stem}_{one.name}", path, form, one, None) for one in every]
+        ]
+        return [TrackSource(f"{path.stem}_{one.name}", path, form, one, None) for one in found]
     others = [one for one in found if one.name != usual[0]] if request.road_user is None else found
     if found and not others:
         raise UsageError(f"{path}: has no object but {usual[0]!r}, the car: name one by --road-user")
@@ -206,7 +194,7 @@ def _objects_in(
         return "OSI ground truth", read_osi(path, damage), usual
     if suffix == ".csv":
         form, found = _read_table(path, request, every=every)
-        return form, found, (TABLE_CAR, TABLE_OTHER)
+        return form, found, (tracks.TABLE_CAR, tracks.TABLE_OTHER)
     if suffix not in (".xosc", ".xml"):
         raise UsageError(f"{path}: is of no format that is read; files end in {', '.join((*_SUFFIXES, *STORAGES))}")
     root = read_xml(path)
@@ -245,9 +233,10 @@ def _from_recording(files: Sequence[Path], request: ImportRequest, damage: Damag
     user, car = request.road_user or ADVERSARY_TOPIC, request.car or CAR_TOPIC
     path = files[0] if len(files) == 1 else files[0].parent
     names = [user, car] if request.needs_car else [user]
-    tracks = bag_tracks(files, names, request.map_frame, longest_gap=request.longest_gap, tf=request.tf, damage=damage)
-    one_frame(path, *tracks.values())
-    cut = {name: one.cut(request.begin, request.end) for name, one in tracks.items()}
+    gap, tf = request.longest_gap, request.tf
+    found = tracks.bag_tracks(files, names, request.map_frame, longest_gap=gap, tf=tf, damage=damage)
+    tracks.one_frame(path, *found.values())
+    cut = {name: one.cut(request.begin, request.end) for name, one in found.items()}
     return TrackSource(name_of(files), path, "a bag of ROS", cut[user], cut[car] if request.needs_car else None)
 
 
@@ -265,7 +254,7 @@ def _read_table(path: Path, request: ImportRequest, *, every: bool) -> tuple[str
     if set(_FRAMED) <= set(header):
         return LEVELX, _levelx(path, names, None if every else request.kind)
     if set(_NAMED) <= set(header):
-        return "a table of tracked objects", list(table_tracks(path, names).values())
+        return "a table of tracked objects", list(tracks.table_tracks(path, names).values())
     if set(_TIMED) <= set(header):
         rows = [row for _, _, row in csv_rows(path, _TIMED, ())]
         return "a track (t, x, y)", [Track.of_rows(rows, f"{path}, {path.stem}", path.stem, form="t, x, y")]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from skd_adversary.safe_trajectories.recordings import interpolated
@@ -88,6 +88,7 @@ class ExportedEpisode:
         duration: time of the last state, s.
         date: when the result was made, as ISO 8601 has it.
         whole_ticks: whether the last state is that of the tick in which the contact was, and not of the contact itself.
+        about: what export.json says of it.
     """
 
     stem: str
@@ -98,6 +99,7 @@ class ExportedEpisode:
     duration: float
     date: str
     whole_ticks: bool = False
+    about: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def ego(self) -> Actor | None:
