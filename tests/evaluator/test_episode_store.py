@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from skd_evaluator.assessment.files.episode_store import (
     FILE_NAME,
     EpisodeStore,
-    Specifications,
     StoppedError,
     StoreError,
     StoringRunner,
+    digest_of_specification,
     from_bytes,
     to_bytes,
 )
@@ -93,21 +93,20 @@ def test_whatever_is_specified_is_in_the_digest():
             {"public": dataclasses.replace(CROSSING, eta_max=4.0)},
         )
     ]  # fmt: skip
-    digests = Specifications()
-    found = [digests.digest(one) for one in (base, *others)]
+    found = [digest_of_specification(one) for one in (base, *others)]
     assert len(set(found)) == len(found)
     options = {one.name for one in dataclasses.fields(EpisodeSpec)}
     changed = {name for one in others for name in options if getattr(one, name) is not getattr(base, name)}
     assert changed == options
     same = dataclasses.replace(base, scenario=load_scenario("crossing"), safe_trajectory=dataclasses.replace(ACROSS))
-    assert Specifications().digest(same) == found[0]
+    assert digest_of_specification(same) == found[0]
 
 
 def filled(folder: Path, count: int = 40) -> tuple[list[EpisodeSpec], list[bytes]]:
     """Episodes of a store that was closed."""
     store = EpisodeStore(folder / FILE_NAME)
     episodes = [episode(trial) for trial in range(count)]
-    keys = [Specifications().digest(one) for one in episodes]
+    keys = [digest_of_specification(one) for one in episodes]
     for key, one in zip(keys, episodes, strict=True):
         store.put(CELL, key, log_of(one))
     store.close()
@@ -154,7 +153,7 @@ def write_and_be_killed(folder, episodes, keys):
 
 def test_the_death_of_its_process_takes_nothing(tmp_path):
     episodes = [episode(trial) for trial in range(30)]
-    keys = [Specifications().digest(one) for one in episodes]
+    keys = [digest_of_specification(one) for one in episodes]
     write_and_be_killed(tmp_path, episodes, keys)
     assert (tmp_path / f"{FILE_NAME}-wal").stat().st_size > 0
     assert read_all(tmp_path, episodes, keys) == list(range(30))
@@ -164,7 +163,7 @@ def test_the_death_of_its_process_takes_nothing(tmp_path):
 def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
     """A power cut leaves less of the WAL than was written: then the first episodes are there, and no wrong one is."""
     episodes = [episode(trial) for trial in range(30)]
-    keys = [Specifications().digest(one) for one in episodes]
+    keys = [digest_of_specification(one) for one in episodes]
     write_and_be_killed(tmp_path, episodes, keys)
     wal = tmp_path / f"{FILE_NAME}-wal"
     os.truncate(wal, int(share * wal.stat().st_size))

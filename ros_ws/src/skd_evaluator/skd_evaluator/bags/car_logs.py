@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from skd_adversary.car_models.observations import RecordedEpisode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json
-from skd_sim.options.adversary import AdversaryModel, Objective
+from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH, right_and_along, road_pose
 from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes
+from skd_evaluator.assessment.files.episodes_npz import EPISODES
 from skd_evaluator.assessment.files.episodes_npz import read_episodes as read_arrays
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.assessment.plan import EpisodeGroup, probed, split_episode_id
 from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, not_credible_beside
 from skd_evaluator.bags.files import holds_recordings, is_recording
 from skd_evaluator.bags.read import read_episodes
@@ -145,22 +142,6 @@ def _logs_in(path: Path, car: EpisodeSpec) -> list[EpisodeLog]:
     if stored.time_step != step:
         raise UsageError(f"{path}: its time step is {stored.time_step:g} s, that of its scenario {step:g} s")
     try:
-        safe = [Trajectory(one, step, f"{path}/{row}") for row, one in enumerate(stored.safe)]
-        return [stored.log(row, _episode(stored, row, safe, car)) for row in range(len(stored))]
-    except (ValueError, IndexError) as error:
+        return stored.logs(car)
+    except (ValueError, LookupError) as error:
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
-
-
-def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], car: EpisodeSpec) -> EpisodeSpec:
-    """Return the specification of an episode, as far as it decides what can have happened."""
-    number, objective = int(stored.episode_id[row]), str(stored.objective[row])
-    stage, index, _ = split_episode_id(number)
-    if stage != EpisodeGroup.PROBE and index >= len(safe):
-        raise UsageError(f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}")
-    return replace(
-        car,
-        mode=Mode(int(stored.mode[row])),
-        episode_id=number,
-        safe_trajectory=probed(car.scenario, car.seed, number) if stage == EpisodeGroup.PROBE else safe[index],
-        objective=Objective(objective) if objective else Objective.PAPER,
-    )

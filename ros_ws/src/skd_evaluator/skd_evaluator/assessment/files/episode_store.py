@@ -8,6 +8,7 @@ all that it says, for SQLite does not check what it reads.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import math
@@ -63,32 +64,21 @@ def digest_of(content: Any) -> bytes:
     return digest(json.dumps(content, sort_keys=True, ensure_ascii=True).encode())
 
 
-class Specifications:
-    """Digests of episodes' specifications.
+def digest_of_specification(episode: EpisodeSpec) -> bytes:
+    """Return a digest of all that an episode's specification says."""
+    phi = episode.safe_trajectory
+    plain = [one.plain(getattr(episode, one.name)) for one in options_of(EpisodeSpec)]
+    plain += [int(episode.mode), episode.seed, episode.episode_id]
+    parts = [_digest_of_part(episode.scenario), b"" if phi is None else _digest_of_part(phi), repr(plain).encode()]
+    if episode.public is not None:  # few have another one than their own
+        parts.append(_digest_of_part(episode.public))
+    return digest(*parts)
 
-    Episodes of one assessment share scenario and φ: what these come to is computed once.
-    """
 
-    def __init__(self) -> None:
-        """Know nothing yet."""
-        self._known: dict[int, tuple[object, bytes]] = {}
-
-    def digest(self, episode: EpisodeSpec) -> bytes:
-        """Return a digest of all that an episode's specification says."""
-        phi = episode.safe_trajectory
-        plain = [one.plain(getattr(episode, one.name)) for one in options_of(EpisodeSpec)]
-        plain += [int(episode.mode), episode.seed, episode.episode_id]
-        parts = [self._of(episode.scenario), b"" if phi is None else self._of(phi), repr(plain).encode()]
-        if episode.public is not None:  # few have another one than their own
-            parts.append(self._of(episode.public))
-        return digest(*parts)
-
-    def _of(self, thing: Scenario | Trajectory) -> bytes:
-        known = self._known.get(id(thing))
-        if known is None or known[0] is not thing:
-            found = digest_of(thing.as_dict()) if isinstance(thing, Scenario) else digest_of_trajectory(thing)
-            known = self._known[id(thing)] = (thing, found)  # kept, so that nothing else gets its id
-        return known[1]
+@functools.lru_cache(maxsize=4096)
+def _digest_of_part(part: Scenario | Trajectory) -> bytes:
+    """Return the digest of what episodes of one assessment share."""
+    return digest_of(part.as_dict()) if isinstance(part, Scenario) else digest_of_trajectory(part)
 
 
 def digest_of_trajectory(one: Trajectory) -> bytes:
@@ -128,13 +118,11 @@ def from_bytes(data: bytes, episode: EpisodeSpec) -> EpisodeLog:
 
 
 FILE_NAME = "episodes.sqlite"
-_FORMAT = 5
+_FORMAT = 6
 _TABLE = """
 CREATE TABLE episodes (
     cell BLOB NOT NULL,
     specification BLOB NOT NULL,
-    objective TEXT NOT NULL,
-    episode_id INTEGER NOT NULL,
     log BLOB NOT NULL,
     checksum BLOB NOT NULL,
     PRIMARY KEY (cell, specification)
@@ -240,14 +228,8 @@ class EpisodeStore:
     def put(self, cell: bytes, specification: bytes, log: EpisodeLog) -> None:
         """Keep what happened in an episode; when this returns, the death of this process does not take it."""
         data = to_bytes(log)
-        episode = log.episode
-        self._ask(
-            "INSERT OR REPLACE INTO episodes VALUES (?, ?, ?, ?, ?, ?)",
-            (
-                cell, specification, str(episode.objective), episode.episode_id, data,
-                digest(cell, specification, data),
-            ),
-        )  # fmt: skip
+        row = cell, specification, data, digest(cell, specification, data)
+        self._ask("INSERT OR REPLACE INTO episodes VALUES (?, ?, ?, ?)", row)
 
     def about(self) -> dict[str, Any]:
         """Return what was written of all episodes; empty where nothing was."""
@@ -270,15 +252,9 @@ class EpisodeStore:
         """Forget the episodes of a cell; their place is used again."""
         self._ask("DELETE FROM episodes WHERE cell = ?", (cell,))
 
-    def cells(self) -> list[bytes]:
-        """Return of which cells there are episodes."""
-        return [cell for (cell,) in self._ask("SELECT DISTINCT cell FROM episodes")]
-
     def keep_only(self, cells: Sequence[bytes]) -> None:
         """Forget the episodes of all other cells."""
-        for cell in self.cells():
-            if cell not in cells:
-                self.drop(cell)
+        self._ask(f"DELETE FROM episodes WHERE cell NOT IN ({','.join('?' * len(cells))})", cells)
 
     def close(self) -> None:
         """Let go of it."""
@@ -326,7 +302,6 @@ class StoringRunner:
             stop: set when the campaign is to end.
         """
         self._runner, self._store, self._cell, self._stop = runner, store, cell, stop
-        self._specifications = Specifications()
         self.given = self.read = 0
 
     def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
@@ -336,7 +311,7 @@ class StoringRunner:
             StoppedError: the campaign is to end.
             StoreError: the store is damaged, or cannot be written.
         """
-        keys = [self._specifications.digest(one) for one in episodes]
+        keys = [digest_of_specification(one) for one in episodes]
         known = self._store.known(self._cell, keys)
         pairs = list(zip(keys, episodes, strict=True))
         missing = [episode for key, episode in pairs if key not in known]

@@ -8,22 +8,23 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.adversary import BelievedCar
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, until_contact
 from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, ObjectiveResult
-from skd_evaluator.assessment.plan import EpisodeGroup, episode_id, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id, probed, split_episode_id
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.deviation import Hit, deviation_pairs
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs
@@ -260,18 +261,46 @@ class StoredEpisodes:
     def __len__(self) -> int:
         return len(self.mode)
 
-    def log(self, number: int, episode: EpisodeSpec) -> EpisodeLog:
-        """Return the log of an episode, whose specification the file does not hold as a whole."""
-        return EpisodeLog(
-            episode,
-            Outcome(int(self.outcome[number])),
-            self.adversary[number],
-            self.car[number],
-            float(self.impact_time[number]),
-            float(self.impact_speed[number]),
-            reason=str(self.further["reason"][number]),
-            clipped=int(self.further["clipped"][number]),
-            own_contact=float(self.further["own_contact"][number]) if "own_contact" in self.further else None,
+    @cached_property
+    def trajectories(self) -> list[Trajectory]:
+        """Each φ."""
+        names = self.further["safe_name"].tolist()
+        return [Trajectory(one, self.time_step, name) for one, name in zip(self.safe, names, strict=True)]
+
+    def logs(self, like: EpisodeSpec) -> list[EpisodeLog]:
+        """Return what happened in each episode; what the file does not hold of its specification is as in another one.
+
+        Raises:
+            ValueError, LookupError: that is not possible.
+        """
+        own_contact = self.further.get("own_contact", [None] * len(self))
+        return [
+            EpisodeLog(
+                self._episode(number, like),
+                Outcome(int(self.outcome[number])),
+                self.adversary[number],
+                self.car[number],
+                float(self.impact_time[number]),
+                float(self.impact_speed[number]),
+                reason=str(self.further["reason"][number]),
+                clipped=int(self.further["clipped"][number]),
+                own_contact=None if own_contact[number] is None else float(own_contact[number]),
+            )
+            for number in range(len(self))
+        ]
+
+    def _episode(self, number: int, like: EpisodeSpec) -> EpisodeSpec:
+        id_ = int(self.episode_id[number])
+        is_probe = split_episode_id(id_)[0] == EpisodeGroup.PROBE
+        return replace(
+            like,
+            mode=Mode(int(self.mode[number])),
+            episode_id=id_,
+            safe_trajectory=probed(like.scenario, like.seed, id_)
+            if is_probe
+            else self.trajectories[self.safe_index[number]],
+            # A registered objective is not looked up: who reads figures needs its name alone.
+            objective=cast(Objective, str(self.objective[number])) or like.objective,
         )
 
     @cached_property

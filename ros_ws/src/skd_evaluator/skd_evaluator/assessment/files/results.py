@@ -17,7 +17,7 @@ from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.start import installing
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import FloatArray, Trajectory
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.assessment.assessment import CONFIDENCE, Assessment, KamikazeSet, ObjectiveResult, assessment_of
 from skd_evaluator.assessment.episode_figures import SURROGATES, command_age
@@ -262,7 +262,7 @@ def assessment_from_file(figures: Mapping[str, Any], stored: StoredEpisodes) -> 
     """
     further = stored.further
     scenario = scenario_from_dict(figures["scenario"], f"scenario in {ASSESSMENT}")
-    names, objectives = further["safe_name"].tolist(), further["objectives"].tolist()
+    objectives = further["objectives"].tolist()
     for name, here, there in (
         ("η_max", float(further["eta_max"]), scenario.eta_max),
         ("time step", stored.time_step, scenario.time_step),
@@ -278,14 +278,12 @@ def assessment_from_file(figures: Mapping[str, Any], stored: StoredEpisodes) -> 
         maximum_distance=None if math.isnan(limit) else limit,
         plans=dict(zip(objectives, further["plans_deviation"].tolist(), strict=True)),
     )
-    safe = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
-    logs = [_log(stored, number, scenario, safe) for number in range(len(stored))]
+    safe, logs = stored.trajectories, stored.logs(EpisodeSpec(scenario, Mode.SAFE, plan.seed, 0))
     replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
     sets: dict[Objective, list[KamikazeSet]] = {}
     for name in objectives:
         of_it = (stored.mode == Mode.KAMIKAZE) & (stored.objective == name)
         rows = [np.flatnonzero(of_it & (stored.safe_index == index)).tolist() for index in range(len(safe))]
-        # A registered objective is not looked up: of a name alone all that is wanted is the name.
         sets[cast(Objective, name)] = [
             KamikazeSet(phi, tuple(logs[row] for row in mine)) for phi, mine in zip(safe, rows, strict=True)
         ]
@@ -303,17 +301,6 @@ def _confidence(figures: Mapping[str, Any]) -> float:
     if not CONFIDENCE <= found < 1.0:
         raise ValueError(f"until_width.confidence must be from {CONFIDENCE:g} to below 1, got {found:g}")
     return found
-
-
-def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Trajectory]) -> EpisodeLog:
-    episode = EpisodeSpec(
-        scenario,
-        Mode(int(stored.mode[number])),
-        int(stored.further["seed"]),
-        int(stored.episode_id[number]),
-        safe_trajectory=safe[int(stored.safe_index[number])],
-    )
-    return stored.log(number, episode)
 
 
 def _stored_margins(
