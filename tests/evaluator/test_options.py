@@ -36,8 +36,8 @@ ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "ac
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class More(EpisodeOptions):
-    depth: int = option(7, "how deep to look", low=1, high=90, metavar="N", marks=(PLANNING,))
-    pace: float | None = option(None, "how fast to go, m/s", float, low=0.0, high=9.0, unset="as it likes")
+    depth: int = option(7, "how deep to look", within=(1, 90), metavar="N", marks=(PLANNING,))
+    pace: float | None = option(None, "how fast to go, m/s", float, within=(0.0, 9.0), unset="as it likes")
     bold: bool = option(False, "whether it dares")
     word: str = option("calm", "what it is like")
 

@@ -44,8 +44,8 @@ class _CallOptions:
     """The table of what a call has beside the options of an assessment."""
 
     scenario: str | None = option(None, "name or file of the scenario", str)
-    workers: int | None = option(None, "number of processes", int, low=1, high=MOST_WORKERS)
-    max_aborted: float = option(100.0 * MAXIMUM_ABORTED, "percentage that may be aborted", low=0.0, high=100.0)
+    workers: int | None = option(None, "number of processes", int, within=(1, MOST_WORKERS))
+    max_aborted: float = option(100.0 * MAXIMUM_ABORTED, "percentage that may be aborted", within=(0.0, 100.0))
 
 
 def assess(

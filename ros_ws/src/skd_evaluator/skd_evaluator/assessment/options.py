@@ -37,7 +37,7 @@ DEFAULT_MARGIN_LIMIT = 512
 WALKERS, NO_BEHAVIOUR = behaviour.WALKERS, behaviour.NO_BEHAVIOUR
 GENERATED = (SYNTHETIC, OWN, WALKERS)
 """Sources of as many φ as are asked for."""
-_CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
+_CAMPAIGN: Any = {"commands": ("assess", "sweep"), "launches": ("assessment",)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,27 +52,23 @@ class CampaignOptions(EpisodeOptions):
         group="car and test",
         commands=("assess", "episode", "drive"),
     )
-    safe_count: int = option(20, "how many safe trajectories (φ) there are", low=1, high=65_535, **_CAMPAIGN)
+    safe_count: int = option(20, "how many safe trajectories (φ) there are", within=(1, 65_535), **_CAMPAIGN)
     kamikaze_count: int = option(
         25,
         "how many trials there are on each safe trajectory, of the margin and of kamikazes",
-        low=1,
-        high=1_000_000,
+        within=(1, 1_000_000),
         **{**_CAMPAIGN, "commands": (*_CAMPAIGN["commands"], "protocol")},
     )
     collision_runs: int = option(
         500,
         "how many runs follow a safe trajectory unchanged, for the nominal collision rate",
-        low=1,
-        high=10_000_000,
+        within=(1, 10_000_000),
         **_CAMPAIGN,
     )
     seed: int = option(
         0,
         "number from which every random draw follows: the same seed gives the same results",
-        low=0,
-        high=2**63 - 1,
-        metavar="N",
+        within=(0, 2**63 - 1),
         commands=("assess", "sweep", "episode", "probe", "protocol", "drive"),
     )
 
@@ -85,9 +81,7 @@ class AssessmentOptions:
         DEFAULT_MARGIN_LIMIT,
         "how many candidate trajectories the search for the margin may drive in each trial. It stops earlier "
         "when the mean no longer changes. 0: no margin",
-        low=0,
-        high=1_000_000,
-        metavar="N",
+        within=(0, 1_000_000),
         commands=("assess", "sweep", "replay", "protocol", "log"),
     )
     warm_start: str = option(
@@ -108,9 +102,7 @@ class AssessmentOptions:
         None,
         "how many crossings the risk is estimated from at each scale s",
         int,
-        low=1,
-        high=10_000_000,
-        metavar="N",
+        within=(1, 10_000_000),
         commands=("assess", "sweep"),
         unset="2000 for the basic car, 500 for others, 100 through the graph",
         marks=(RARE,),
@@ -152,8 +144,7 @@ class EvaluatorOptions(CommandOptions):
         None,
         "time between two decisions of an external controller, s. It must divide the time step of the scenario",
         float,
-        low=0.0,
-        high=10.0,
+        within=(0.0, 10.0),
         metavar="S",
         marks=(GRAPH, EXTERNAL, RARE),
         unset="as the scenario says",
@@ -179,21 +170,19 @@ class TaskOptions:
         launches=("episode",),
     )
     trial: int = option(
-        0, "which trial of the campaign to run (task episode)", low=0, high=2**32 - 1, launches=("episode",)
+        0, "which trial of the campaign to run (task episode)", within=(0, 2**32 - 1), launches=("episode",)
     )
     scenario: str = option("", "name of a scenario, or a YAML file", unset="the one that suits the safe trajectories")
     max_aborted: float = option(
         100.0 * MAXIMUM_ABORTED,
         "percentage of the episodes that may be aborted before the assessment counts as failed",
-        low=0.0,
-        high=100.0,
+        within=(0.0, 100.0),
         launches=(),
     )
     silence_limit: float = option(
         120.0,
         "an episode ends after this many seconds of the wall clock without a message of the simulator",
-        low=1.0,
-        high=3600.0,
+        within=(1.0, 3600.0),
         launches=(),
     )
     record: bool = option(True, "keep a recording (a bag) of every episode")

@@ -29,7 +29,6 @@ from skd_sim.options.registry import Registry
 
 # ruff: noqa: RUF009 - `option` makes a field, as `dataclasses.field` does
 
-
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
 FIELDS: Final = {"controller", "multiplier", "car_model", "simulations", "objective", "maximum_distance"}
@@ -148,16 +147,25 @@ class Option:
         return self.kind(plain)
 
 
-def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) -> Any:
+def option(
+    default: Any,
+    text: str,
+    kind: type[Any] | None = None,
+    within: tuple[float | None, float | None] = (None, None),
+    **more: Any,
+) -> Any:
     """Return a field of a dataclass that is an option.
 
     Args:
         default: its value where no other is given.
         text: what it means, with its unit.
         kind: type of its value; by default that of the default.
-        more: further attributes of `Option`.
+        within: least and greatest number allowed.
+        more: further attributes of `Option`; a whole number is called N on the command line.
     """
-    return field(default=default, metadata={"option": Option(text, kind or type(default), default, **more)})
+    kind = kind or type(default)
+    name = {"metavar": "N"} if kind is int else {}
+    return field(default=default, metadata={"option": Option(text, kind, default, *within, **{**name, **more})})
 
 
 @functools.cache
@@ -170,11 +178,15 @@ def options_of(table: Callable[..., Any]) -> tuple[Option, ...]:
     )
 
 
+_car_option = partial(option, group="car and test")
+_OF_CAR: Final = ("assess", "episode", "probe", "protocol", "log", "drive")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EpisodeOptions:
     """The table of an episode's options, which are also those of a campaign; each is described where it stands."""
 
-    controller: str = option(
+    controller: str = _car_option(
         DEFAULT,
         "the car under test. SKD has basic (the paper's simple car), cal, carla and metadrive_expert. Published "
         "drivers are cc_driver, reg157, rss, fsm, aeb_berkeley, aeb_honda, aeb_mazda, idm, eidm, krauss, f1tenth, "
@@ -182,48 +194,41 @@ class EpisodeOptions:
         "file.py:Class, package.module:Class, a registered name, or external (a ROS node)",
         ControllerName,
         metavar="NAME",
-        group="car and test",
-        commands=("assess", "episode", "probe", "protocol", "log", "drive"),
+        commands=_OF_CAR,
     )
-    multiplier: float = option(
+    multiplier: float = _car_option(
         1.0,
         "C of the basic car: it brakes for an adversary ahead within C times its stopping distance",
-        low=0.0,
-        high=100.0,
+        within=(0.0, 100.0),
         metavar="C",
-        group="car and test",
-        commands=("assess", "episode", "probe", "protocol", "log", "drive"),
+        commands=_OF_CAR,
     )
-    name: str = option(
+    name: str = _car_option(
         "",
         "what your car is called in tables, lists and reports",
         metavar="NAME",
-        group="car and test",
         commands=("assess", "episode"),
         unset="as --controller or the command of its node says",
     )
-    simulator: str = option(
+    simulator: str = _car_option(
         WORLD,
         "what moves car and adversary: world (SKD's own), metadrive (needs the extra metadrive), or a registered "
         "simulator",
         choices=Names((), SIMULATORS),
-        group="car and test",
         commands=("assess", "episode", "probe"),
     )
-    car_model: str = option(
+    car_model: str = _car_option(
         "",
         "the model of the car with which the adversary plans: car_model.yaml of skd fit, or its folder",
         metavar="FILE",
-        group="car and test",
         unset="none",
     )
-    adversary_model: AdversaryModel | None = option(
+    adversary_model: AdversaryModel | None = _car_option(
         None,
         "what the adversary knows of the car: generic (a basic one), learned (test drives or --car-model), exact (C)",
         AdversaryModel,
         choices=Names(tuple(map(str, AdversaryModel))),
         metavar="{" + ",".join(AdversaryModel) + "}",
-        group="car and test",
         commands=("assess", "episode"),
         unset="exact if basic, else generic",
         marks=(PLANNING,),
@@ -231,9 +236,7 @@ class EpisodeOptions:
     simulations: int = option(
         DEFAULT_SIMULATIONS,
         "how many futures the planner simulates before each decision of a kamikaze",
-        low=1,
-        high=100_000,
-        metavar="N",
+        within=(1, 100_000),
         commands=COMMANDS,
         marks=(PLANNING,),
     )
@@ -248,9 +251,7 @@ class EpisodeOptions:
         None,
         "how many particles (guesses of the car's state) the adversary's belief has",
         int,
-        low=0,
-        high=1_000_000,
-        metavar="N",
+        within=(0, 1_000_000),
         unset="the number for which the objective was tuned",
         commands=("episode",),
         marks=(PLANNING, RARE),
@@ -266,8 +267,7 @@ class EpisodeOptions:
         None,
         "leave out each kamikaze that ends further than this many metres from its safe trajectory, and count them",
         float,
-        low=0.0,
-        high=1e6,
+        within=(0.0, 1e6),
         metavar="M",
         launches=("assessment",),
         unset="none is left out",
@@ -438,8 +438,7 @@ class StateOptions:
         0.0,
         "laser scans and point clouds per simulated second, as near as the control periods allow. With 0 they "
         "come with every state",
-        low=0.0,
-        high=1000.0,
+        within=(0.0, 1000.0),
         metavar="HZ",
     )
     odom_frame: str = graph_option(FRAMES.odom, "name of the coordinate frame of the car's odometry", metavar="FRAME")
@@ -464,15 +463,13 @@ class SimulatorOptions(CommandOptions, StateOptions):
     rate_factor: float = graph_option(
         1.0,
         "with real_time: how many simulated seconds pass in a second of the wall clock",
-        low=0.01,
-        high=100.0,
+        within=(0.01, 100.0),
         metavar="F",
     )
     slip_limit: float = graph_option(
         0.05,
         "with real_time: how late a control period may begin, s of the wall clock. A later one aborts the episode",
-        low=0.001,
-        high=3600.0,
+        within=(0.001, 3600.0),
         metavar="S",
         commands=_RATED,
     )
@@ -481,8 +478,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
         "with lockstep: go on this many seconds of the wall clock after a state that is not answered. The last "
         "command holds",
         float,
-        low=0.0,
-        high=10.0,
+        within=(0.0, 10.0),
         metavar="S",
         unset="the simulator waits until each state is answered",
         marks=(GRAPH, EXTERNAL, RARE),
@@ -490,31 +486,27 @@ class SimulatorOptions(CommandOptions, StateOptions):
     command_timeout: float = graph_option(
         5.0,
         "an episode is aborted after this many seconds of the wall clock without a command",
-        low=0.05,
-        high=3600.0,
+        within=(0.05, 3600.0),
         metavar="S",
     )
     startup_timeout: float = graph_option(
         60.0,
         "seconds of the wall clock until the first command of an episode. Without --graph: how long a call of "
         "your controller may take",
-        low=0.05,
-        high=3600.0,
+        within=(0.05, 3600.0),
         metavar="S",
         marks=(RARE,),
     )
     maximum_acceleration: float = graph_option(
         3.0,
         "greatest acceleration with which the car follows a speed that is commanded, m/s²",
-        low=0.1,
-        high=20.0,
+        within=(0.1, 20.0),
         metavar="A",
     )
     maximum_deceleration: float = graph_option(
         8.0,
         "greatest deceleration with which the car follows a speed that is commanded, m/s²",
-        low=0.1,
-        high=20.0,
+        within=(0.1, 20.0),
         metavar="A",
     )
     initial_pose: bool = graph_option(

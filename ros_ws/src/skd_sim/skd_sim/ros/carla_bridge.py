@@ -59,23 +59,23 @@ class _CarlaOptions:
     odometry_id: str = option(ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both")
     control_id: str = option(CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place")
     obstacles_on_map: bool = option(False, "whether the map has the scenario's obstacles; if not, actors are put there")
-    crossing_x: float = option(0.0, "origin of the crossing in CARLA's map as ROS sees it, m", low=-1e5, high=1e5)
-    crossing_y: float = option(0.0, "the same, m", low=-1e5, high=1e5)
-    crossing_z: float = option(0.5, "height at which actors are put on the road, m", low=-1e3, high=1e4)
+    crossing_x: float = option(0.0, "origin of the crossing in CARLA's map as ROS sees it, m", within=(-1e5, 1e5))
+    crossing_y: float = option(0.0, "the same, m", within=(-1e5, 1e5))
+    crossing_z: float = option(0.5, "height at which actors are put on the road, m", within=(-1e3, 1e4))
     crossing_yaw: float = option(
-        0.0, "direction in which the adversary crosses, the crossing's x axis, rad", low=-7.0, high=7.0
+        0.0, "direction in which the adversary crosses, the crossing's x axis, rad", within=(-7.0, 7.0)
     )
     frame_step: float = option(
-        0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", low=0.001, high=0.1
+        0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", within=(0.001, 0.1)
     )
-    full_throttle: float = option(4.0, "acceleration of the car at full throttle, m/s²", low=0.1, high=20.0)
-    full_brake: float = option(8.0, "deceleration of the car at full brake, m/s²", low=0.1, high=20.0)
-    full_steering: float = option(1.22, "angle of its front wheels at full lock, rad", low=0.1, high=1.5)
+    full_throttle: float = option(4.0, "acceleration of the car at full throttle, m/s²", within=(0.1, 20.0))
+    full_brake: float = option(8.0, "deceleration of the car at full brake, m/s²", within=(0.1, 20.0))
+    full_steering: float = option(1.22, "angle of its front wheels at full lock, rad", within=(0.1, 1.5))
     placing_tolerance: float = option(
-        0.5, "distance from its start at which an actor counts as placed, m", low=0.01, high=5.0
+        0.5, "distance from its start at which an actor counts as placed, m", within=(0.01, 5.0)
     )
     settling_time: float = option(
-        0.02, "wall seconds from controls to the first frame that is to feel them", low=0.001, high=5.0
+        0.02, "wall seconds from controls to the first frame that is to feel them", within=(0.001, 5.0)
     )
 
 

@@ -39,7 +39,7 @@ class _ControllerOptions:
         unset="the one that the episode names",
     )
     multiplier: float = option(
-        -1.0, "C of the basic controller; negative: the one that the episode names", low=-1.0, high=100.0
+        -1.0, "C of the basic controller; negative: the one that the episode names", within=(-1.0, 100.0)
     )
 
 

@@ -273,7 +273,7 @@ class StoredEpisodes:
         Raises:
             ValueError, LookupError: that is not possible.
         """
-        own_contact = self.further.get("own_contact", [None] * len(self))
+        own_contacts = self.further["own_contact"].tolist() if "own_contact" in self.further else [None] * len(self)
         return [
             EpisodeLog(
                 self._episode(number, like),
@@ -284,24 +284,21 @@ class StoredEpisodes:
                 float(self.impact_speed[number]),
                 reason=str(self.further["reason"][number]),
                 clipped=int(self.further["clipped"][number]),
-                own_contact=None if own_contact[number] is None else float(own_contact[number]),
+                own_contact=own_contact,
             )
-            for number in range(len(self))
+            for number, own_contact in enumerate(own_contacts)
         ]
 
     def _episode(self, number: int, like: EpisodeSpec) -> EpisodeSpec:
         id_ = int(self.episode_id[number])
-        is_probe = split_episode_id(id_)[0] == EpisodeGroup.PROBE
-        return replace(
-            like,
-            mode=Mode(int(self.mode[number])),
-            episode_id=id_,
-            safe_trajectory=probed(like.scenario, like.seed, id_)
-            if is_probe
-            else self.trajectories[self.safe_index[number]],
-            # A registered objective is not looked up: who reads figures needs its name alone.
-            objective=cast(Objective, str(self.objective[number])) or like.objective,
-        )
+        if split_episode_id(id_)[0] == EpisodeGroup.PROBE:
+            phi = probed(like.scenario, like.seed, id_)
+        else:
+            phi = self.trajectories[self.safe_index[number]]
+        # A registered objective is not looked up: who reads figures needs its name alone.
+        objective = cast(Objective, str(self.objective[number])) or like.objective
+        mode = Mode(int(self.mode[number]))
+        return replace(like, mode=mode, episode_id=id_, safe_trajectory=phi, objective=objective)
 
     @cached_property
     def collided(self) -> npt.NDArray[np.bool_]:
