@@ -13,6 +13,7 @@ import numpy as np
 from skd_sim.kernels.compilation import kernel
 from skd_sim.world.state import BoolArray, FloatArray, IntArray
 
+from skd_adversary.car_models import laws, speed_change
 from skd_adversary.car_models.car_model_file import (
     OPTIONAL,
     PARAMETERS,
@@ -32,63 +33,39 @@ from skd_adversary.car_models.identifiability import (
     normal_estimate,
     step_estimate,
 )
-from skd_adversary.car_models.laws import (
-    Law,
-    LawCandidate,
-    braking_probability,
-    choose,
-    compare,
-    evidence,
-    fit_family,
-    folds_of,
-    gate_profile,
-    integral_transform,
-    kolmogorov_smirnov,
-    sharp_spread,
-    spread_estimates,
-    trigger_profile,
-)
 from skd_adversary.car_models.observations import Observations
-from skd_adversary.car_models.speed_change import (
-    SpeedChange,
-    acceleration_line,
-    braking_estimates,
-    densities,
-    distributions,
-    fit_speed_change,
-    moving,
-    refit,
-)
 
 _HELD_OUT_FOLDS = 4  # one of them is predicted from the others, for the calibration
 _KS_TICKS = 20  # fewer say nothing about calibration
 _OF_BRAKING = ("trigger", "trigger_spread", "reaction_delay", "deceleration", "deceleration_noise")
 
 
-def _modes(change: SpeedChange, law: Law, data: Observations, rows: BoolArray) -> tuple[BoolArray, BoolArray]:
+def _modes(
+    change: speed_change.SpeedChange, law: laws.Law, data: Observations, rows: BoolArray
+) -> tuple[BoolArray, BoolArray]:
     """Return which ticks, of those that count, were braking and which free, given the law."""
-    free, braking, _ = (part[rows] for part in densities(change, data))
-    brakes = braking_probability(law, data)[rows]
+    free, braking, _ = (part[rows] for part in speed_change.densities(change, data))
+    brakes = laws.braking_probability(law, data)[rows]
     for_it, against = brakes * braking, (1.0 - brakes) * free
     return for_it > against, (against >= for_it) & (brakes < 0.5)
 
 
 def _learn(
-    change: SpeedChange, data: Observations, rows: BoolArray
-) -> tuple[SpeedChange, LawCandidate, list[LawCandidate]]:
+    change: speed_change.SpeedChange, data: Observations, rows: BoolArray
+) -> tuple[speed_change.SpeedChange, laws.LawCandidate, list[laws.LawCandidate]]:
     """Return the change of speed, the chosen family and all families."""
-    candidates = compare(change, data, rows)
-    chosen = choose(candidates)
+    candidates = laws.compare(change, data, rows)
+    chosen = laws.choose(candidates)
     # A fast car's free and braking ticks can look alike; the law tells which they were.
     braking, free = _modes(change, chosen.law, data, rows)
-    change = refit(change, data.of(rows), free, braking)
-    e = evidence(change, data, chosen.law.family, rows)
-    return change, replace(chosen, law=fit_family(chosen.law.family, e), evidence=e), candidates
+    change = speed_change.refit(change, data.of(rows), free, braking)
+    e = laws.evidence(change, data, chosen.law.family, rows)
+    return change, replace(chosen, law=laws.fit_family(chosen.law.family, e), evidence=e), candidates
 
 
 def fit_with_law(
     data: Observations, *, seed: int = 0, version: str = "unknown"
-) -> tuple[FittedCar, tuple[SpeedChange, Law] | None]:
+) -> tuple[FittedCar, tuple[speed_change.SpeedChange, laws.Law] | None]:
     """Return the car that the logs show, and its law with how the speed changes; None where they show no law.
 
     Args:
@@ -96,7 +73,7 @@ def fit_with_law(
         seed: seed of the random draws that the calibration needs where the car stops within a tick.
         version: version of SKD, which the model records.
     """
-    rows = moving(data)
+    rows = speed_change.moving(data)
     seen, starts = data.of(rows), data.speed[data.tick == 0]
     start_speed = float(np.median(starts)) if starts.size else 0.0
     car = FittedCar(
@@ -116,7 +93,7 @@ def fit_with_law(
     if seen.episodes < 2 or len(seen) < LEAST_LOGS:
         why = f"only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
         return replace(car, parameters=counts.unknown(why, *(one for one in PARAMETERS if one not in OPTIONAL))), None
-    change, _, _ = fit_speed_change(seen)
+    change, _, _ = speed_change.fit_speed_change(seen)
     if change.weights[1] <= 0.0:
         counts = replace(counts, free=len(seen))
         unknown = counts.unknown(counts.why_not_braking(), *_OF_BRAKING)
@@ -124,7 +101,7 @@ def fit_with_law(
     change, chosen, candidates = _learn(change, data, rows)
     law = chosen.law
     braking, is_free = _modes(change, law, data, rows)
-    free = seen.of(is_free & (densities(change, seen)[0] > 0.0))
+    free = seen.of(is_free & (speed_change.densities(change, seen)[0] > 0.0))
     counts = replace(
         counts,
         braking_logs=int(np.unique(seen.episode[braking]).size),
@@ -153,29 +130,31 @@ def fit_with_law(
 
 
 def _law_parameters(
-    counts: Identification, chosen: LawCandidate, candidates: Sequence[LawCandidate], time_step: float
+    counts: Identification, chosen: laws.LawCandidate, candidates: Sequence[laws.LawCandidate], time_step: float
 ) -> dict[str, CarParameter]:
     """Return trigger, its spread, path and delay."""
     law, e = chosen.law, chosen.evidence
     why, make = counts.why_no_law(), functools.partial(counts.parameter, measure=law.family.measure)
     if law.family.spread == "sharp":
-        trigger = make("trigger", lambda: step_estimate(*trigger_profile(e, law)), why, "uniform")
-        spread = make("trigger_spread", lambda: sharp_spread(e, law), why, "uniform", limit=None)
+        trigger = make("trigger", lambda: step_estimate(*laws.trigger_profile(e, law)), why, "uniform")
+        spread = make("trigger_spread", lambda: laws.sharp_spread(e, law), why, "uniform", limit=None)
         if spread.identifiable:
             spread = replace(spread, prior=ParameterPrior("point", 0.0))  # the family says so
     else:
-        both = [] if why else [*spread_estimates(e, law)]
+        both = [] if why else [*laws.spread_estimates(e, law)]
         trigger = make("trigger", lambda: both[0], why)
         spread = make("trigger_spread", lambda: both[1], why)
     found = {"trigger": trigger, "trigger_spread": spread}
     if law.family.gate != "none":
-        found["path_half_width"] = make("path_half_width", lambda: step_estimate(*gate_profile(e, law)), why, "uniform")
+        found["path_half_width"] = make(
+            "path_half_width", lambda: step_estimate(*laws.gate_profile(e, law)), why, "uniform"
+        )
     delay = functools.partial(_delay_estimate, law, candidates, time_step)
     found["reaction_delay"] = make("reaction_delay", delay, why, "uniform", limit=None)
     return found
 
 
-def _delay_estimate(law: Law, candidates: Sequence[LawCandidate], time_step: float) -> IntervalEstimate:
+def _delay_estimate(law: laws.Law, candidates: Sequence[laws.LawCandidate], time_step: float) -> IntervalEstimate:
     """Return the delay, in whole ticks: those that together have 95 % of the likelihood."""
     family = law.family
     tried = {
@@ -196,10 +175,12 @@ def _delay_estimate(law: Law, candidates: Sequence[LawCandidate], time_step: flo
     return IntervalEstimate(family.delay * time_step, deviation * time_step, low * time_step, high * time_step)
 
 
-def _braking_parameters(counts: Identification, change: SpeedChange, braking: Observations) -> dict[str, CarParameter]:
+def _braking_parameters(
+    counts: Identification, change: speed_change.SpeedChange, braking: Observations
+) -> dict[str, CarParameter]:
     """Return the deceleration and its noise."""
     why = counts.why_not_braking()
-    both = [] if why else [*braking_estimates(change, braking)]
+    both = [] if why else [*speed_change.braking_estimates(change, braking)]
     return {
         "deceleration": counts.parameter("deceleration", lambda: both[0], why),
         "deceleration_noise": counts.parameter("deceleration_noise", lambda: both[1], why),
@@ -207,7 +188,7 @@ def _braking_parameters(counts: Identification, change: SpeedChange, braking: Ob
 
 
 def _free_parameters(
-    counts: Identification, change: SpeedChange, free: Observations, starts: FloatArray
+    counts: Identification, change: speed_change.SpeedChange, free: Observations, starts: FloatArray
 ) -> dict[str, CarParameter]:
     """Return noise of the speed, cruise speed and the gain that holds it."""
     why, make = counts.why_not_free(), counts.parameter
@@ -228,7 +209,7 @@ def _free_parameters(
 
 
 def _pull_estimates(
-    change: SpeedChange, free: Observations
+    change: speed_change.SpeedChange, free: Observations
 ) -> tuple[IntervalEstimate, IntervalEstimate, IntervalEstimate]:
     """Return cruise speed (m/s), gain (1/s) and largest acceleration (m/s²) with intervals by weighted least squares.
 
@@ -240,7 +221,7 @@ def _pull_estimates(
         some = free.of(limited)
         spread = change.speed_noise * some.speed / (math.sqrt(3.0) * free.time_step)
         limit_error = float(1.0 / math.sqrt(np.square(1.0 / spread).sum()))
-    slope, offset, covariance = acceleration_line(free.of(~limited))
+    slope, offset, covariance = speed_change.acceleration_line(free.of(~limited))
     toward = np.array([offset / slope**2, -1.0 / slope])  # of −offset/slope
     cruise_error = math.sqrt(float(toward @ covariance @ toward))
     gain_error = math.sqrt(float(covariance[0, 0]))
@@ -249,22 +230,24 @@ def _pull_estimates(
     return cruise, gain, limit
 
 
-def _calibration(data: Observations, change: SpeedChange, law: Law, seed: int) -> LawCalibration | None:
+def _calibration(
+    data: Observations, change: speed_change.SpeedChange, law: laws.Law, seed: int
+) -> LawCalibration | None:
     """Return how well a fourth of the logs is predicted from the others by the chosen family."""
-    test = folds_of(data.episode, _HELD_OUT_FOLDS) == _HELD_OUT_FOLDS - 1
-    if not test.any() or int(moving(data.of(test)).sum()) < _KS_TICKS:
+    test = laws.folds_of(data.episode, _HELD_OUT_FOLDS) == _HELD_OUT_FOLDS - 1
+    if not test.any() or int(speed_change.moving(data.of(test)).sum()) < _KS_TICKS:
         return None
     train = data.of(~test)
-    rows = moving(train)
+    rows = speed_change.moving(train)
     if train.of(rows).episodes < 2:
         return None
     known = law
     for _ in range(2):  # changes of speed and law anew, from those of all logs
         braking, free = _modes(change, known, train, rows)
-        change = refit(change, train.of(rows), free, braking)
-        known = fit_family(law.family, evidence(change, train, law.family, rows), near=law)
-    values = integral_transform(change, known, data.of(test), np.random.default_rng(seed))
-    statistic, p_value = kolmogorov_smirnov(values)
+        change = speed_change.refit(change, train.of(rows), free, braking)
+        known = laws.fit_family(law.family, laws.evidence(change, train, law.family, rows), near=law)
+    values = laws.integral_transform(change, known, data.of(test), np.random.default_rng(seed))
+    statistic, p_value = laws.kolmogorov_smirnov(values)
     return LawCalibration(int(values.size), statistic, p_value)
 
 
@@ -297,11 +280,11 @@ def learn_car(data: Observations, *, seed: int = 0, version: str = "unknown", fo
         folds: how many of the parts are predicted from the others; fewer take less time.
     """
     car, fitted = fit_with_law(data, seed=seed, version=version)
-    if data.episodes < LEAST_EPISODES or not moving(data).any():
+    if data.episodes < LEAST_EPISODES or not speed_change.moving(data).any():
         return car
     if data.evades:
         return replace(car, forest=grow(data, seed=seed))
-    fold, rng = folds_of(data.episode, FOLDS), np.random.default_rng(seed)
+    fold, rng = laws.folds_of(data.episode, FOLDS), np.random.default_rng(seed)
     parts = [data.of(fold == part) for part in range(folds)]
     grown = (grow(data.of(fold != part), seed=seed).trees for part in range(folds))
     by_forest = _joined([_of_forest(trees, test, rng) for trees, test in zip(grown, parts, strict=True)])
@@ -331,9 +314,9 @@ class _Scores(NamedTuple):
         return Prediction(
             model,
             int(self.transforms.size),
-            kolmogorov_smirnov(self.transforms)[0],
+            laws.kolmogorov_smirnov(self.transforms)[0],
             int(close.size),
-            kolmogorov_smirnov(close)[0] if close.size else 0.0,
+            laws.kolmogorov_smirnov(close)[0] if close.size else 0.0,
             float(self.scores.mean()) if self.scores.size else 0.0,
         )
 
@@ -344,7 +327,7 @@ def _joined(parts: Sequence[_Scores]) -> _Scores:
 
 def _of_forest(trees: Trees, test: Observations, rng: np.random.Generator) -> _Scores:
     """Return how well a forest that has not seen them predicts ticks."""
-    rows = moving(test)
+    rows = speed_change.moving(test)
     counted = rows & near(test)
     features, change = described(test)
     scores = np.zeros(int(counted.sum()))
@@ -352,22 +335,22 @@ def _of_forest(trees: Trees, test: Observations, rng: np.random.Generator) -> _S
     return _Scores(forest_transform(trees, test, rows, rng), near(test)[rows], scores, test.episode[counted])
 
 
-def _of_law(change: SpeedChange, law: Law, test: Observations, rng: np.random.Generator) -> _Scores:
+def _of_law(change: speed_change.SpeedChange, law: laws.Law, test: Observations, rng: np.random.Generator) -> _Scores:
     """Return how well a law predicts ticks."""
-    rows = moving(test)
+    rows = speed_change.moving(test)
     counted = rows & near(test)
     scores = _law_scores(change, law, test)[counted]
-    return _Scores(integral_transform(change, law, test, rng), near(test)[rows], scores, test.episode[counted])
+    return _Scores(laws.integral_transform(change, law, test, rng), near(test)[rows], scores, test.episode[counted])
 
 
-def _law_scores(change: SpeedChange, law: Law, data: Observations) -> FloatArray:
+def _law_scores(change: speed_change.SpeedChange, law: laws.Law, data: Observations) -> FloatArray:
     """Return the continuous ranked probability score of each tick, m/s: ∫ (F(z) − 1[observed ≤ z])² dz."""
-    brakes = braking_probability(law, data)
+    brakes = laws.braking_probability(law, data)
     observed = data.speed_after - data.speed
     total = np.zeros(len(data))
     for index in range(_BINS):
         z = _LOW + (index + 0.5) * _STEP
-        free, braking = distributions(change, replace(data, speed_after=data.speed + z))
+        free, braking = speed_change.distributions(change, replace(data, speed_after=data.speed + z))
         below = np.where(z < -data.speed, 0.0, brakes * braking + (1.0 - brakes) * free)
         total += np.square(below - (observed <= z)) * _STEP
     return np.asarray(total)

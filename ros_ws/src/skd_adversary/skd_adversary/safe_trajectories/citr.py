@@ -25,15 +25,7 @@ from skd_sim.world.contact import first_contact, to_car_frame
 from skd_sim.world.state import FloatArray, IntArray, Trajectory
 
 from skd_adversary.crossing.road_users import PEDESTRIAN
-from skd_adversary.safe_trajectories.recordings import (
-    LONGEST_HOLE,
-    check_motion,
-    check_once,
-    in_car_frame,
-    read_table,
-    resample,
-    too_fast,
-)
+from skd_adversary.safe_trajectories import recordings
 
 FRAME_RATE: Final = 29.97
 """Frames per second of the recordings."""
@@ -123,7 +115,7 @@ def read_clips(path: str | Path) -> list[Clip]:
         here, absent = (PEDESTRIAN_SUFFIX, VEHICLE_SUFFIX)[:: 1 if clip in pedestrians else -1]
         raise UsageError(f"{folder / (clip + here)}: its partner {clip}{absent} is missing")
     clips = [_read_clip(clip, pedestrians[clip], vehicles[clip]) for clip in sorted(pedestrians)]
-    check_once((f"{folder}: {clip.name}/{one.id}", one.positions) for clip in clips for one in clip.tracks)
+    recordings.check_once((f"{folder}: {clip.name}/{one.id}", one.positions) for clip in clips for one in clip.tracks)
     return clips
 
 
@@ -145,7 +137,7 @@ def _read_clip(clip: str, pedestrian_file: Path, vehicle_file: Path) -> Clip:
 
 def _tracks(path: Path, columns: Mapping[str, float], share: float) -> list[ClipTrack]:
     """Return the tracks of a file by id; ids and frames are whole, frames increase, velocities are the positions'."""
-    values, lines = read_table(path, columns)
+    values, lines = recordings.read_table(path, columns)
     for row, column in np.argwhere(values[:, : len(_KEYS)] % 1.0 != 0.0).tolist():
         name = list(_KEYS)[column]
         raise UsageError(f"{path}, line {lines[row]}: {name} must be whole, got {values[row, column]:g}")
@@ -159,7 +151,7 @@ def _tracks(path: Path, columns: Mapping[str, float], share: float) -> list[Clip
         headings, velocities = np.zeros(len(rows)), values[rows, 4:]
         if columns is _VEHICLE_COLUMNS:  # heading and speed
             headings, velocities = first, np.column_stack([np.cos(first), np.sin(first)]) * second[:, None]
-        check_motion(frames / FRAME_RATE, positions, velocities, lines[rows], path, share)
+        recordings.check_motion(frames / FRAME_RATE, positions, velocities, lines[rows], path, share)
         found.append(ClipTrack(int(id_), frames.astype(np.int64), positions, headings))
     return found
 
@@ -174,7 +166,7 @@ def world_frame(clip: Clip, track: ClipTrack) -> FloatArray:
     Returns:
         n × 2 positions (East, North), m, at the track's frames.
     """
-    return in_car_frame(clip.cart.positions, track.positions).positions
+    return recordings.in_car_frame(clip.cart.positions, track.positions).positions
 
 
 def touches_cart(clip: Clip, track: ClipTrack, radius: float) -> bool:
@@ -210,7 +202,7 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
     for clip in clips:
         for track in clip.tracks:
             name = f"{clip.name}/{track.id}"
-            points = resample(track.frames / FRAME_RATE, world_frame(clip, track), scenario.time_step)
+            points = recordings.resample(track.frames / FRAME_RATE, world_frame(clip, track), scenario.time_step)
             points[:, 0] *= scenario.end.crossing
             reason = _unusable(clip, track, points, scenario)
             if reason:
@@ -229,14 +221,14 @@ def _unusable(clip: Clip, track: ClipTrack, points: FloatArray, scenario: Scenar
     if across[-1] <= edge:
         return "ends before the far side"
     fastest = PEDESTRIAN.fastest  # these are
-    if too_fast(track.frames / FRAME_RATE, track.positions, fastest):
+    if recordings.too_fast(track.frames / FRAME_RATE, track.positions, fastest):
         return f"faster than {fastest:g} m/s"
     if (track.frames[-1] - track.frames[0]) / FRAME_RATE > scenario.horizon:
         return "longer than the scenario's horizon"
     frames = clip.cart.frames
     if len(np.intersect1d(track.frames, frames)) == 0:
         return "no frame in common with the cart"
-    if max(frames[0] - track.frames[0], track.frames[-1] - frames[-1]) > LONGEST_HOLE * FRAME_RATE:
+    if max(frames[0] - track.frames[0], track.frames[-1] - frames[-1]) > recordings.LONGEST_HOLE * FRAME_RATE:
         return "seen while the cart is not, which it may have touched"
     if touches_cart(clip, track, scenario.adversary.reach):
         return "touches the recorded cart"

@@ -16,15 +16,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from skd_sim.controllers import protocol
 from skd_sim.controllers.isolated import LOADING, begin_call, end_call
-from skd_sim.controllers.protocol import (
-    Controller,
-    SensingController,
-    control_period_of,
-    steers_by_curvature,
-    takes_batches,
-    takes_scene,
-)
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 from skd_sim.inputs.files import near_or_all
 from skd_sim.inputs.yaml_file import short
@@ -125,13 +118,13 @@ class UserController:
         takes_batches: whether it answers many episodes at once.
     """
 
-    def __init__(self, controller: Controller, name: str) -> None:
+    def __init__(self, controller: protocol.Controller, name: str) -> None:
         """Stand around `controller`, called `name` in messages."""
         self._controller, self._name = controller, name
         self._scenarios: dict[int, tuple[Scenario, Scenario]] = {}  # by id: each, and the controller's own copy
-        self.control_period = control_period_of(controller, name)
-        self.takes_scene, self.takes_batches = takes_scene(controller), takes_batches(controller)
-        self._by_curvature, self._wheelbase = steers_by_curvature(controller, name), 0.0
+        self.control_period = protocol.control_period_of(controller, name)
+        self.takes_scene, self.takes_batches = protocol.takes_scene(controller), protocol.takes_batches(controller)
+        self._by_curvature, self._wheelbase = protocol.steers_by_curvature(controller, name), 0.0
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on, with a scenario of the controller's own, so that it cannot change the world's."""
@@ -211,14 +204,14 @@ class UserSensingController(UserController):
         self._call("sense", inner.sense, scan)
 
 
-def user_controller(controller: Controller, name: str) -> UserController:
+def user_controller(controller: protocol.Controller, name: str) -> UserController:
     """Return what stands around `controller`, called `name` in messages; it senses where the controller does."""
-    if isinstance(controller, SensingController):
+    if isinstance(controller, protocol.SensingController):
         return UserSensingController(controller, name)
     return UserController(controller, name)
 
 
-def make_controller(name: str, multiplier: float = 1.0) -> Controller:
+def make_controller(name: str, multiplier: float = 1.0) -> protocol.Controller:
     """Make a controller by name.
 
     Args:
@@ -244,7 +237,7 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     target = CONTROLLERS.target(name) if name in CONTROLLERS else car.controller
     if car.is_own:
         factory: Callable[..., object] = load(target, what)
-        return cast(Controller, factory(multiplier) if car.has_multiplier else factory())
+        return cast(protocol.Controller, factory(multiplier) if car.has_multiplier else factory())
     begin_call(LOADING)
     try:
         found = load(target, what)

@@ -27,23 +27,7 @@ from skd_sim.ros.simulator_node import GraphSimulator
 from skd_sim.ros.support import STREAM, declare, run_node
 from skd_sim.ros.to_messages import to_orientation
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.carla import (
-    ADVERSARY,
-    CONTROL,
-    EGO,
-    OBSTACLE,
-    ODOMETRY,
-    OTHER,
-    Placement,
-    adversary_from_odometry,
-    blueprints,
-    box_from_odometry,
-    car_from_odometry,
-    pedals,
-    steer,
-    walker_control,
-    walks,
-)
+from skd_sim.simulators import carla
 from skd_sim.simulators.simulator import FramedSimulator, SimulatorError, States
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
@@ -54,10 +38,12 @@ from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 class _CarlaOptions:
     """The table of the node's parameters, beside those of every simulator."""
 
-    ego_role: str = option(EGO, "role name of the car under test in CARLA")
-    adversary_role: str = option(ADVERSARY, "role name of the adversary in CARLA")
-    odometry_id: str = option(ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both")
-    control_id: str = option(CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place")
+    ego_role: str = option(carla.EGO, "role name of the car under test in CARLA")
+    adversary_role: str = option(carla.ADVERSARY, "role name of the adversary in CARLA")
+    odometry_id: str = option(carla.ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both")
+    control_id: str = option(
+        carla.CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place"
+    )
     obstacles_on_map: bool = option(False, "whether the map has the scenario's obstacles; if not, actors are put there")
     crossing_x: float = option(0.0, "origin of the crossing in CARLA's map as ROS sees it, m", within=(-1e5, 1e5))
     crossing_y: float = option(0.0, "the same, m", within=(-1e5, 1e5))
@@ -116,7 +102,7 @@ class CarlaFrames:
         self._messages = carla_messages()
         self.frame_step = float(s["frame_step"])
         self.limits = CommandLimits(-s["full_brake"], s["full_throttle"])
-        self._placement = Placement(s["crossing_x"], s["crossing_y"], s["crossing_yaw"])
+        self._placement = carla.Placement(s["crossing_x"], s["crossing_y"], s["crossing_yaw"])
         ego, adversary = f"/carla/{s['ego_role']}", f"/carla/{s['adversary_role']}"
         node = self._node = rclpy.create_node("carla_link")
         self._car_control = node.create_publisher(
@@ -147,16 +133,16 @@ class CarlaFrames:
     def prepare(self, scenario: Scenario) -> None:
         """Take the scenario, and where its obstacles are."""
         self._scenario = scenario
-        self._walks = walks(blueprints(scenario)[ADVERSARY])
+        self._walks = carla.walks(carla.blueprints(scenario)[carla.ADVERSARY])
         self._staged: dict[str, tuple[float, float, float]] = {}
         if not self._settings["obstacles_on_map"]:
             for index, one in enumerate(scenario.obstacles):
-                self._staged[OBSTACLE.format(index)] = one.x, one.y, one.heading
+                self._staged[carla.OBSTACLE.format(index)] = one.x, one.y, one.heading
 
     def show(self, others: Sequence[RoadUserState]) -> None:
         """Put the others where they are at the next frame's end."""
         for index, state in enumerate(others):
-            self._staged[OTHER.format(index)] = state.x, state.y, state.heading
+            self._staged[carla.OTHER.format(index)] = state.x, state.y, state.heading
         self._put_staged()
 
     def place(self, car: CarState, adversary: AdversaryState) -> States:
@@ -179,12 +165,12 @@ class CarlaFrames:
 
     def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
         """Send both commands, and wait until they have arrived: topics have no common order, and no answer comes."""
-        throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
-        side = steer(steering, self._settings["full_steering"])
+        throttle, brake = carla.pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
+        side = carla.steer(steering, self._settings["full_steering"])
         self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake, steer=side))
         self._velocity = velocity
         if self._walks:
-            x, y, speed = walker_control(velocity, self._placement)
+            x, y, speed = carla.walker_control(velocity, self._placement)
             message = self._messages.CarlaWalkerControl(speed=speed)
             message.direction.x, message.direction.y = x, y
             self._walker_control.publish(message)
@@ -271,12 +257,12 @@ class CarlaFrames:
         if stamp <= self._last_frame or not all(stamp in found for found in self._odometry.values()):
             return
         self._last_frame = stamp
-        car = car_from_odometry(self._odometry["car"][stamp], self._placement)
+        car = carla.car_from_odometry(self._odometry["car"][stamp], self._placement)
         message = self._odometry["adversary"][stamp]
         if self._walks:
-            adversary = adversary_from_odometry(message, self._placement)
+            adversary = carla.adversary_from_odometry(message, self._placement)
         else:
-            adversary = box_from_odometry(message, self._placement, self._velocity)
+            adversary = carla.box_from_odometry(message, self._placement, self._velocity)
             self._height = message.pose.pose.position.z  # where the road bears it: else each frame lets it fall
         self._odometry = {"car": {}, "adversary": {}}
         self._newest = car, adversary

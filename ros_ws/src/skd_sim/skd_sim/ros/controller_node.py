@@ -17,14 +17,7 @@ from skd_sim.controllers.protocol import Controller, SensingController, require_
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import option
-from skd_sim.ros.from_messages import (
-    CarEpisode,
-    from_stamp,
-    message_to_car_episode,
-    message_to_scan,
-    odometry_to_adversary,
-    odometry_to_car,
-)
+from skd_sim.ros import from_messages
 from skd_sim.ros.support import STREAM, EpisodeFollower, GraphNode, Moments, Topic, declare, run_node
 from skd_sim.ros.to_messages import acceleration_command
 
@@ -60,14 +53,14 @@ class CarController(GraphNode):
         self._scans: Any = None  # subscription, while the controller senses
         self._answered: dict[int, AccelStamped] = {}
         self._command = self.create_publisher(AccelStamped, Topic.ACCELERATION_COMMAND, STREAM)
-        self._follower = EpisodeFollower(self, message_to_car_episode, self._on_begin, self._on_frame)
+        self._follower = EpisodeFollower(self, from_messages.message_to_car_episode, self._on_begin, self._on_frame)
         self.create_subscription(
-            Odometry, Topic.EGO_ODOMETRY, partial(self._hear, Topic.EGO_ODOMETRY, odometry_to_car), STREAM
+            Odometry, Topic.EGO_ODOMETRY, partial(self._hear, Topic.EGO_ODOMETRY, from_messages.odometry_to_car), STREAM
         )
-        of_adversary = partial(self._hear, Topic.ADVERSARY_ODOMETRY, odometry_to_adversary)
+        of_adversary = partial(self._hear, Topic.ADVERSARY_ODOMETRY, from_messages.odometry_to_adversary)
         self.create_subscription(Odometry, Topic.ADVERSARY_ODOMETRY, of_adversary, STREAM)
 
-    def _on_begin(self, episode: CarEpisode) -> None:
+    def _on_begin(self, episode: from_messages.CarEpisode) -> None:
         name = self._settings["controller"] or episode.controller
         chosen = self._settings["multiplier"]
         car = CarUnderTest(name, chosen if chosen >= 0.0 else episode.multiplier)
@@ -85,14 +78,14 @@ class CarController(GraphNode):
         """Subscribe only for a controller that senses: a scan is not made unless a node listens."""
         self._moments.needed = {Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY} | ({Topic.EGO_SCAN} if senses else set())
         if senses and self._scans is None:
-            of_laser = partial(self._hear, Topic.EGO_SCAN, message_to_scan)
+            of_laser = partial(self._hear, Topic.EGO_SCAN, from_messages.message_to_scan)
             self._scans = self.create_subscription(LaserScan, Topic.EGO_SCAN, of_laser, STREAM)
         elif not senses and self._scans is not None:
             self.destroy_subscription(self._scans)
             self._scans = None
 
     def _hear(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
-        stamp = from_stamp(message.header.stamp)
+        stamp = from_messages.from_stamp(message.header.stamp)
         if (seen := self._moments.put(stamp, topic, read(message))) is not None:
             self._follower.deliver(stamp, seen)
 

@@ -21,21 +21,10 @@ from skd_msgs.msg import EpisodeResult
 
 from skd_sim.errors import UsageError
 from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, SimulatorOptions, StateOptions, values_of
+from skd_sim.ros import lockstep
 from skd_sim.ros.commands import Quantity, angle_of_yaw_rate, car_commands, follow_speed
 from skd_sim.ros.diagnosis import Awaited, Evidence, diagnose, kind_name, second_publisher
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
-from skd_sim.ros.lockstep import (
-    Action,
-    CommandSource,
-    ControlStep,
-    End,
-    Lockstep,
-    Repeat,
-    Senders,
-    Start,
-    WaitLimits,
-    frame_stamp,
-)
 from skd_sim.ros.state_publisher import StatePublisher
 from skd_sim.ros.support import LATCHED, STREAM, GraphNode, Topic, declare, run_node
 from skd_sim.ros.to_messages import acceleration_command, to_stamp
@@ -52,7 +41,7 @@ _WATCH_PERIOD = 0.05  # s of wall time
 _NOWHERE = Frame(0, CarState(0.0, 0.0, 0.0, 0.0), AdversaryState(0.0, 0.0, 0.0, 0.0))  # of an episode that is refused
 
 
-class _Publishers(Senders):
+class _Publishers(lockstep.Senders):
     """Which nodes publish on a topic of commands, as the middleware sees it."""
 
     def __init__(self, node: Node, subscription: Any) -> None:
@@ -115,7 +104,7 @@ class GraphSimulator:
             self._quiet.cancel()
         self._message: Any = None
 
-    def _listen_to_commands(self, *, alone: bool) -> Lockstep:
+    def _listen_to_commands(self, *, alone: bool) -> lockstep.Lockstep:
         values, node = self._values, self._node
         commands = car_commands(CommandOptions(**values_of(CommandOptions, values)))
         topic = values["command_topic"]
@@ -134,7 +123,7 @@ class GraphSimulator:
             self.walk(from_stamp(message.header.stamp), (linear.x, linear.y))
 
         drives = _Publishers(node, node.create_subscription(commands.kind, topic, on_command, STREAM))
-        walks = Senders()
+        walks = lockstep.Senders()
         if alone:
             walks = _Publishers(
                 node, node.create_subscription(TwistStamped, Topic.VELOCITY_COMMAND, on_velocity, STREAM)
@@ -145,10 +134,10 @@ class GraphSimulator:
         real_time = values["pacing"] == REAL_TIME
         if real_time and values["quiet_time"]:
             raise UsageError("quiet_time goes with --pacing lockstep: real time does not wait")
-        return Lockstep(
-            CommandSource("the car controller", topic, drives),
-            CommandSource("the adversary", Topic.VELOCITY_COMMAND, walks),
-            WaitLimits(values["command_timeout"], values["startup_timeout"]),
+        return lockstep.Lockstep(
+            lockstep.CommandSource("the car controller", topic, drives),
+            lockstep.CommandSource("the adversary", Topic.VELOCITY_COMMAND, walks),
+            lockstep.WaitLimits(values["command_timeout"], values["startup_timeout"]),
             real_time=real_time,
             quiet_time=values["quiet_time"],
         )
@@ -180,7 +169,7 @@ class GraphSimulator:
         self._do(begun)
 
     def _refuse(self, reason: str) -> None:
-        self._publish_result(End(Outcome.ABORTED, _NOWHERE, self._start, reason), 0)
+        self._publish_result(lockstep.End(Outcome.ABORTED, _NOWHERE, self._start, reason), 0)
 
     def _stop(self) -> None:
         self._lockstep.stop()
@@ -212,20 +201,20 @@ class GraphSimulator:
 
     # --- what comes of it
 
-    def _do(self, action: Action | None) -> None:
-        if isinstance(action, ControlStep):
+    def _do(self, action: lockstep.Action | None) -> None:
+        if isinstance(action, lockstep.ControlStep):
             self._step(action)
-        elif isinstance(action, Start):
+        elif isinstance(action, lockstep.Start):
             period = self._episode.scenario.control_duration / self._values["rate_factor"]
             self._schedule = Schedule(time.monotonic(), period)
             self._ticker = self._node.create_timer(period, self._on_ticker, clock=self._steady)
-        elif isinstance(action, Repeat):
+        elif isinstance(action, lockstep.Repeat):
             self._publish_state()
-        elif isinstance(action, End):
+        elif isinstance(action, lockstep.End):
             self._publish_result(action, self._simulator.clipped)
             self._stop()
 
-    def _step(self, commands: ControlStep) -> None:
+    def _step(self, commands: lockstep.ControlStep) -> None:
         acceleration, steering, car = commands.drive, commands.steering, self._frame.car
         if self._yaw_rate:
             steering = angle_of_yaw_rate(steering, car.speed, wheels(self._episode.scenario.car)[0])
@@ -233,7 +222,7 @@ class GraphSimulator:
             duration = self._episode.scenario.control_duration
             acceleration = follow_speed(commands.drive, car.speed, duration, self._follows, commands.limit)
         if self._applied.get_subscription_count():
-            stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
+            stamp = lockstep.frame_stamp(self._start, self._frame, self._episode.scenario)
             self._applied.publish(acceleration_command((acceleration, steering), stamp))
         self._commands.append((acceleration, steering))
         try:  # a simulator that does not steer takes a float
@@ -247,7 +236,7 @@ class GraphSimulator:
         self._do(end)
 
     def _publish_state(self) -> None:
-        stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
+        stamp = lockstep.frame_stamp(self._start, self._frame, self._episode.scenario)
         if self._quiet is None:
             self._states.tell_time(stamp - self._lockstep.lead)
             self._states.publish(self._frame, stamp)
@@ -259,7 +248,7 @@ class GraphSimulator:
 
     # --- results
 
-    def _publish_result(self, end: End, clipped: int) -> None:
+    def _publish_result(self, end: lockstep.End, clipped: int) -> None:
         result = EpisodeResult(outcome=int(end.outcome), ticks=end.frame.tick, reason=end.reason)
         result.header.stamp = to_stamp(end.stamp)
         result.header.frame_id = MAP_FRAME

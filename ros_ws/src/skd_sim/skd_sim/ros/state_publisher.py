@@ -20,19 +20,8 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from skd_sim.options.options import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames, StateOptions
+from skd_sim.ros import to_messages
 from skd_sim.ros.support import LATCHED, STREAM, Topic
-from skd_sim.ros.to_messages import (
-    COVARIANCE_6,
-    adversary_to_odometry,
-    car_to_odometry,
-    inertia_to_message,
-    scan_to_message,
-    scan_to_points,
-    scene_to_transforms,
-    static_transforms,
-    to_orientation,
-    to_stamp,
-)
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame
@@ -92,13 +81,13 @@ class StatePublisher:
         if described != self._described:
             self._described = described
             mount = None if scenario.sensor is None else (scenario.sensor.mount_ahead, 0.0, LASER_HEIGHT)
-            fixed = static_transforms(mount, stamp, self._frames, with_map=self._with_map)
+            fixed = to_messages.static_transforms(mount, stamp, self._frames, with_map=self._with_map)
             self._latched[Topic.TF_STATIC].publish(fixed)
             self._latched[Topic.ROBOT_DESCRIPTION].publish(String(data=robot_description(scenario, self._frames)))
 
     def tell_time(self, stamp: int) -> None:
         """Publish the clock, ns."""
-        self._send(Topic.CLOCK, lambda: Clock(clock=to_stamp(stamp)))
+        self._send(Topic.CLOCK, lambda: Clock(clock=to_messages.to_stamp(stamp)))
 
     def publish(self, frame: Frame, stamp: int) -> None:
         """Publish a state of the episode at its stamp (ns); it may be published repeatedly."""
@@ -106,22 +95,22 @@ class StatePublisher:
         listeners = self._streams[Topic.TF].get_subscription_count()
         # tf2 complains of a transform that comes twice; a listener that came since then needs it.
         if (stamp, listeners) != self._moved:
-            self._send(Topic.TF, lambda: scene_to_transforms(frame.scene(scenario), stamp, frames))
+            self._send(Topic.TF, lambda: to_messages.scene_to_transforms(frame.scene(scenario), stamp, frames))
         self._moved = stamp, listeners
         inertia = self._inertial_unit.measure(frame.car, stamp)  # of every state, or it would depend on who listens
-        self._send(Topic.EGO_IMU, lambda: inertia_to_message(inertia, stamp, frames))
+        self._send(Topic.EGO_IMU, lambda: to_messages.inertia_to_message(inertia, stamp, frames))
         if not (frame.tick * scenario.control_periods + frame.period) % self._scan_every:
             self._publish_scan(frame, stamp)
         self._send(Topic.ADVERSARY_DETECTIONS, lambda: detections(scenario, frame.scene(scenario), stamp, frames.odom))
-        self._send(Topic.EGO_ODOMETRY, lambda: car_to_odometry(frame.car, stamp, frames))
-        self._send(Topic.ADVERSARY_ODOMETRY, lambda: adversary_to_odometry(frame.adversary, stamp))
+        self._send(Topic.EGO_ODOMETRY, lambda: to_messages.car_to_odometry(frame.car, stamp, frames))
+        self._send(Topic.ADVERSARY_ODOMETRY, lambda: to_messages.adversary_to_odometry(frame.adversary, stamp))
 
     def _publish_scan(self, frame: Frame, stamp: int) -> None:
         heard = any(self._streams[topic].get_subscription_count() for topic in (Topic.EGO_SCAN, Topic.EGO_POINTS))
         if self._laser is not None and heard:
             scan = self._laser.scan(frame.car, frame.adversary, frame.tick, frame.period)
-            self._send(Topic.EGO_SCAN, lambda: scan_to_message(scan, stamp, self._frames))
-            self._send(Topic.EGO_POINTS, lambda: scan_to_points(scan, stamp, self._frames))
+            self._send(Topic.EGO_SCAN, lambda: to_messages.scan_to_message(scan, stamp, self._frames))
+            self._send(Topic.EGO_POINTS, lambda: to_messages.scan_to_points(scan, stamp, self._frames))
 
     def _send(self, topic: str, make: Callable[[], Any]) -> None:
         publisher = self._streams.get(topic)
@@ -177,11 +166,11 @@ _DIAGONAL = (0, 7, 35)  # x, y and yaw in a covariance of 6 × 6, row by row
 def initial_pose(car: CarState, stamp: int) -> PoseWithCovarianceStamped:
     """Return where the car starts, with a stamp (ns); exact, but a variance of zero would say that it is not known."""
     message = PoseWithCovarianceStamped()
-    message.header.stamp, message.header.frame_id = to_stamp(stamp), MAP_FRAME
+    message.header.stamp, message.header.frame_id = to_messages.to_stamp(stamp), MAP_FRAME
     message.pose.pose.position.x, message.pose.pose.position.y = car.x, car.y
-    message.pose.pose.orientation = to_orientation(car.heading)
+    message.pose.pose.orientation = to_messages.to_orientation(car.heading)
     for place in _DIAGONAL:
-        message.pose.covariance[place] = COVARIANCE_6[place]
+        message.pose.covariance[place] = to_messages.COVARIANCE_6[place]
     return message
 
 
@@ -208,7 +197,7 @@ def detections(scenario: Scenario, scene: Scene, stamp: int, frame_id: str) -> A
         found.append(_detection(f"other_{index}", other, state))
     message = Detection3DArray(detections=found)
     for one in (message, *found):
-        one.header.stamp, one.header.frame_id = to_stamp(stamp), frame_id
+        one.header.stamp, one.header.frame_id = to_messages.to_stamp(stamp), frame_id
     return message
 
 
@@ -218,9 +207,9 @@ def _detection(track: str, body: Body, state: RoadUserState) -> Any:
     height = height_of(body.kind)
     box, size = detection.bbox.center, detection.bbox.size
     box.position.x, box.position.y, box.position.z = state.x, state.y, 0.5 * height
-    box.orientation = to_orientation(state.heading)
+    box.orientation = to_messages.to_orientation(state.heading)
     radius, half_length, half_width = body.shape
     size.x, size.y, size.z = 2.0 * (radius or half_length), 2.0 * (radius or half_width), height
-    result.pose.pose, result.pose.covariance = box, COVARIANCE_6
+    result.pose.pose, result.pose.covariance = box, to_messages.COVARIANCE_6
     detection.results = [result]
     return detection

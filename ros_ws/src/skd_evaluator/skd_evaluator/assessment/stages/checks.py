@@ -28,15 +28,9 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Mode, Outcome, kind_of
 from skd_sim.world.state import Trajectory
 
+from skd_evaluator.assessment import episode_figures
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
-from skd_evaluator.assessment.episode_figures import (
-    DRIVES_NOT,
-    ROAD_EDGE,
-    collision_partner,
-    missed_periods,
-    standing,
-)
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
@@ -59,9 +53,9 @@ _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with warnings: episodes that were aborted, and a user's car that hardly drives."""
     plan = assessment.plan
-    lines = [*aborted_lines(assessment.as_dict()), *missed_periods(plan.car.label, assessment.logs)]
+    lines = [*aborted_lines(assessment.as_dict()), *episode_figures.missed_periods(plan.car.label, assessment.logs)]
     if not plan.car.is_own:
-        lines += standing(plan.car.label, assessment.nominal_runs)
+        lines += episode_figures.standing(plan.car.label, assessment.nominal_runs)
         if is_own_world(plan.simulator) and len(assessment.reasons) < assessment.episodes:
             lines += driving(plan, context.runner)
     return replace(assessment, warnings=(*assessment.warnings, *lines))
@@ -194,7 +188,7 @@ def _drives(plan: Plan, runner: Runner, along: float) -> list[Drive]:
         if log.outcome == Outcome.ABORTED:
             raise AssessmentError(log.reason)
         first, last = log.car[[0, -1], 3].tolist()
-        found.append(Drive(first, last, collision_partner(log) == ROAD_EDGE))
+        found.append(Drive(first, last, episode_figures.collision_partner(log) == episode_figures.ROAD_EDGE))
     return sorted(found, key=lambda drive: drive.last)
 
 
@@ -217,7 +211,7 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
         line = f"{UNDISTURBED}{plan.car.label} slows from {first:.1f} to {last:.1f} m/s in {len(slow)} {of_how_many}"
         least = plan.scenario.collision.hit_speed
         if statistics.median(drive.last for drive in drives) < least:
-            found.append(f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {DRIVES_NOT}")
+            found.append(f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {episode_figures.DRIVES_NOT}")
         else:
             found.append(f"{line}: how far people may deviate, and how seldom they are hit, is due to that, too")
     return tuple(found)
