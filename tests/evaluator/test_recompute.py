@@ -44,7 +44,7 @@ NOT_RECOMPUTED = {
     r"vulnerability_curve\.budgets\..*": "kamikazes held to η are episodes of their own, and not in the file",
     r"(.*\.)?clustering\..*\.notes": "words",
     r"risk\.behaviour\..*": "the behaviour model that was asked for",
-    r"risk\.failures\.kinds\..*": "of walkers that are drawn anew from the seed: test_failures.py",
+    r"risk\.failures\.kinds\..*": "of walkers that are drawn anew from the seed: test_risk.py",
     r"vulnerability_curve": "null where no curve was asked for",
 }  # fmt: skip
 
