@@ -3,84 +3,118 @@
 from __future__ import annotations
 
 import json
+import math
 
+import numpy as np
 import pytest
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.extensions.protocols.evaluation import ProtocolRequest, evaluated_grid, scenario_of, series_tests
+from skd_evaluator.extensions.protocols.matrices import Criterion, ProtocolMatrix
 from skd_evaluator.extensions.protocols.regulations import REGULATIONS
-from skd_evaluator.extensions.protocols.result import RESULT, read_protocol
+from skd_evaluator.extensions.protocols.result import RESULT, GridCell, read_protocol
 from skd_sim.scenario.protocol import impact_offset, regulatory_trajectories
+from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import load_scenario
 
 KMH = 1.0 / 3.6
-CARS = """
-LIMITS = {45: 15, 50: 25, 55: 30, 60: 35}  # km/h, of R152
+CAR = """
+from pathlib import Path
 
-class Hits:
-    control_period, more = 0.05, 0.0  # km/h more than the limit at the impact
+class Brakes:
+    control_period = 0.05
     def reset(self, scenario, rng):
-        self.front, self.depth = scenario.car.front, 0.5 * (scenario.adversary.length or 0.0)
-        self.limit = LIMITS.get(round(3.6 * scenario.car.start_speed), 0) + self.more
-    def command(self, car, adversary):
-        gap = adversary.y - car.y - self.front - self.depth
-        if self.limit < 0.0:  # it is to stand before
-            gap, self.limit = gap - 0.3, -0.001
-        least = max(0.0, self.limit) / 3.6
-        braking = (car.speed ** 2 - least ** 2) / (2.0 * max(gap, 1e-3))
-        return -braking if braking > 4.0 or car.speed < 0.5 else 0.0
-
-class JustPasses(Hits):
-    more = -0.4
-class JustFails(Hits):
-    more = 0.4
-
-class BrakesBetween:
-    control_period, braking = 0.05, 0.24
-    def reset(self, scenario, rng):
-        self.calls = 0
-    def command(self, car, adversary):
-        self.calls += 1
-        return -9.81 * self.braking if 30 < self.calls < 40 and adversary.y - car.y < 200.0 else 0.0
-class BrakesTooMuch(BrakesBetween):
-    braking = 0.26
+        self.braking = float(Path(__file__).with_name("braking").read_text())
+    def command(self, car, adversary):  # undisturbed it keeps its speed
+        return -self.braking if abs(adversary.x - car.x) + abs(adversary.y - car.y) < 200.0 else 0.0
 """
 
 
-@pytest.fixture
-def colours(monkeypatch, tmp_path):
-    """Return the colour of each test of a series, by its speed, of one of the cars above."""
-    (tmp_path / "protocol_cars.py").write_text(CARS)
-    monkeypatch.syspath_prepend(tmp_path)
+@pytest.fixture(scope="module")
+def graded(tmp_path_factory):
+    """Return the cell of the last test of a series for a car that brakes from the start by so much, m/s²."""
+    folder = tmp_path_factory.mktemp("protocol")
+    (folder / "protocol_car.py").write_text(CAR)
+    with pytest.MonkeyPatch.context() as patch, InProcessRunner(1, isolated=True) as runner:
+        patch.syspath_prepend(folder)
+        plan = Plan(load_scenario("ccrs"), controller="protocol_car:Brakes", kamikaze_count=1)
+        runner.start()
 
-    def found(protocol: str, test: str, car: str, *speeds: float) -> dict[float, str]:
-        (series,) = (one for one in REGULATIONS[protocol][1] if one.test == test)
-        plan = Plan(load_scenario("ccrs"), controller=f"protocol_cars:{car}", kamikaze_count=1)
-        request = ProtocolRequest(plan, 0.05, speeds or None, 0)
-        with InProcessRunner(1, isolated=True) as runner:
-            runner.start()
+        def found(series: ProtocolMatrix, braking: float) -> GridCell:
+            (folder / "braking").write_text(repr(braking))
+            request = ProtocolRequest(plan, 0.05, [max(one.speed for one in series.points)], 0)
             grid, _ = evaluated_grid(series, request, runner, lambda *_progress: None)
-        assert not any(cell.why for cell in grid.cells), grid.cells
-        assert series.paragraphs in grid.source
-        return {cell.speed: cell.colour for cell in grid.cells}
+            assert series.paragraphs in grid.source
+            assert not grid.cells[-1].why
+            return grid.cells[-1]
 
-    return found
-
-
-STANDING = [("r152", "car, stationary"), ("r152_first", "car, stationary"), ("fmvss127", "lead vehicle, stopped")]
+        yield found
 
 
-@pytest.mark.parametrize(("protocol", "test"), STANDING)
-def test_a_car_that_just_passes_is_green_and_one_that_just_fails_red(colours, protocol, test):
-    speeds = (40.0, 45.0, 60.0) if protocol != "fmvss127" else (40.0, 70.0)
-    assert colours(protocol, test, "JustPasses", *speeds) == dict.fromkeys(speeds, "green")
-    assert colours(protocol, test, "JustFails", *speeds) == dict.fromkeys(speeds, "red")
+@pytest.mark.parametrize(
+    "series", [pytest.param(one, id=f"{name}: {one.test}") for name, (_, tests) in REGULATIONS.items() for one in tests]
+)
+def test_a_car_just_passes_and_another_just_fails(graded, series):
+    """They brake by almost the same; who must not brake fails by braking more, who must by braking less."""
+    false_reaction = series.points[0].criterion == Criterion.BRAKING
+    fails, passes = (9.0, 0.0) if false_reaction else (0.0, 9.0)
+    for _ in range(18):
+        middle = 0.5 * (fails + passes)
+        colour = graded(series, middle).colour
+        fails, passes = (middle, passes) if colour == "red" else (fails, middle)
+    worse, better = graded(series, fails), graded(series, passes)
+    assert (worse.colour, better.colour) == ("red", "green")
+    if false_reaction:
+        assert better.value < better.limit <= worse.value
+        assert not better.touched
+        assert (fails, passes) == pytest.approx((better.limit, better.limit), abs=0.01)
+        return
+    assert better.value <= better.limit < worse.value
+    if series.scenario == "ccrs":
+        assert worse.value - better.value < 0.5
 
 
-def test_a_car_may_not_brake_by_a_quarter_of_g_between_two_cars(colours):
-    """S5.3 and S9.3 of FMVSS 127."""
-    assert colours("fmvss127", "between two cars", "BrakesBetween") == {80.0: "green"}
-    assert colours("fmvss127", "between two cars", "BrakesTooMuch") == {80.0: "red"}
+@pytest.mark.parametrize(("paragraph", "first", "second"), [("1.2", 2.8, 1.7), ("3.2", 1.6, 1.1), ("4.2", 4.2, 3.3)])
+def test_a_false_reaction_is_at_most_as_far_as_in_its_example(paragraph, first, second):
+    """R152: times to collision where the car begins to steer, and where a car (1.2) or a centre is beside its path."""
+    (series,) = (one for one in REGULATIONS["r152"][1] if one.paragraphs.endswith(f"2, {paragraph}"))
+    scenario = scenario_of(series.scenario, series_tests(series, None)[0], series)
+    car, (radius, along, across) = scenario.car, scenario.adversary.shape
+    centre = regulatory_trajectories(scenario)[0].positions[0]
+    corners = centre + [(i * (across or radius), j * (along or radius)) for i in (-1, 1) for j in (-1, 1)]
+
+    def seen(s: float) -> tuple[float, float, bool]:
+        x, y, heading = road_pose(scenario.road.line, s)
+        ahead, left = (
+            np.array([math.cos(heading), math.sin(heading)]),
+            np.array([-math.sin(heading), math.cos(heading)]),
+        )
+        nearest = float(((corners - (x, y)) @ ahead).min()) - car.front
+        places = (corners if paragraph == "1.2" else centre[None]) - (x, y)
+        return nearest / car.start_speed, float((places @ left).min()), bool((places @ left).max() < -car.half_width)
+
+    path = np.arange(0.0, 20.0, 0.05)
+    assert first - car.front / car.start_speed - 0.01 < seen(0.0)[0] <= first
+    in_the_way = next(s for s in path if seen(s)[1] < car.half_width)
+    assert 0.0 < next(seen(s)[0] for s in path if s > in_the_way and seen(s)[2]) <= second
+
+
+def test_the_car_that_turns_right_is_as_near_as_in_its_example():
+    """R152, 2.2: who slows from 26 to 20 km/h by 2 m/s² is at most 2.5 s behind it when it has left the path."""
+    (series,) = (one for one in REGULATIONS["r152"][1] if one.paragraphs.endswith("2.2"))
+    scenario = scenario_of(series.scenario, series_tests(series, None)[0], series)
+    first, *_ = states = scenario.others[0].states(40, 0.1)
+    front = -scenario.car.start_gap
+    assert first.y - 0.5 * 4.023 - front == pytest.approx(4.7 * (26 - 10) * KMH, rel=1e-3)
+    assert math.hypot(first.vx, first.vy) == pytest.approx(10 * KMH, rel=0.01)
+    for tick, one in enumerate(states):
+        time, turned = 0.1 * tick, abs(one.heading - 0.5 * math.pi)
+        slowing = min(time, 6 * KMH / 2.0)
+        gap = one.y - 0.5 * (4.023 * math.cos(turned) + 1.712 * math.sin(turned)) - front
+        gap -= 26 * KMH * slowing - slowing**2 + 20 * KMH * (time - slowing)
+        if one.x - 0.5 * (4.023 * math.sin(turned) + 1.712 * math.cos(turned)) > 0.9:
+            break
+    assert 0.0 < gap / (20 * KMH) <= 2.5
 
 
 @pytest.mark.parametrize("protocol", REGULATIONS)
@@ -95,7 +129,7 @@ def test_every_test_is_the_one_of_its_paragraph(protocol):
             assert scenario.protocol.speed == pytest.approx((cell.target or 0.0) * KMH)
             assert cell.limit is not None
             (track,) = regulatory_trajectories(scenario)
-            assert len(track) > 1
+            assert len(track) * scenario.time_step > 4.0
             if series.headway is not None:  # from the front of the car to the rear of the target
                 front = -scenario.car.start_gap - 0.5 * scenario.car.start_gap_range
                 rear = track.positions[0, 1] - 0.5 * (scenario.adversary.length or 0.0)

@@ -71,7 +71,7 @@ def with_test(cell: GridCell, tested: StaticTest, target: float, why_none: str =
         Criterion.RELATIVE: rounded_kmh(impact - rounded_kmh(KMH * tested.speed_ahead)),
         Criterion.IMPACT: impact,
         Criterion.REDUCTION: rounded_kmh(cell.speed - impact),
-        Criterion.BRAKING: round(braking, _ROUNDED),
+        Criterion.BRAKING: round(braking, _ROUNDED) + 0.0,
     }[Criterion(cell.criterion)]
     return replace(cell, value=value, colour=colour_of(Criterion(cell.criterion), cell.speed, value, cell.limit))
 

@@ -200,13 +200,15 @@ def colour_of(criterion: Criterion, speed: float, value: float, limit: float | N
         criterion: what it goes by.
         speed: test speed, km/h.
         value: of the criterion, in its unit; without a contact an impact speed of 0.
-        limit: greatest value with which it is passed; None: the matrix has colours.
+        limit: greatest value with which it is passed (of decelerations, least with which it is not); None: the matrix
+            has colours.
 
     Raises:
         ValueError: the criterion has no colours at this test speed.
     """
     if limit is not None:
-        return GREEN if value <= limit else RED
+        less = value < limit or (value == limit and criterion is not Criterion.BRAKING)
+        return GREEN if less else RED
     if criterion is Criterion.REDUCTION:
         return next(name for most, name in _REDUCTIONS if value <= most)
     if value <= 0.0:

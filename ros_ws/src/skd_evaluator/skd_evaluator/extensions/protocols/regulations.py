@@ -3,18 +3,19 @@
 UN R152: limits for M1 in running order, of E/ECE/TRANS/505/Rev.3/Add.151/Rev.2; those of the first step (00 series) are
 of its Amendment 1. FMVSS 127: Federal Register document 2024-09054, tables 1 to S7.1 and 2 to S8.1.1; ranges of speeds
 are stepped by 10 km/h. The targets are those of Euro NCAP's scenarios. Left out is what SKD's world has not: darkness,
-warnings, brakes that a driver applies, and the steel plate (S9.2); and R152's false reaction scenarios (Annex 3,
-Appendix 2), which only its drawings define.
+warnings, brakes that a driver applies, and the steel plate (S9.2).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Final
 
 from skd_evaluator.extensions.protocols.matrices import Criterion, MatrixPoint, ProtocolMatrix
 
 GRAVITY = 9.81  # m/s²
+Curve = tuple[float, float, str]  # radius (m), angle (rad) and side
 _TARGET_LENGTH, _TARGET_WIDTH = 4.023, 1.712  # m, the Global Vehicle Target, as in scenario ccrs
 
 R152_CAR: Final = {
@@ -71,6 +72,52 @@ def _r152(pedestrian: Mapping[int, int], *more: ProtocolMatrix) -> tuple[Protoco
         ),
         *more,
     )  # fmt: skip
+
+
+def _false_reactions() -> Iterable[ProtocolMatrix]:
+    """Yield the false reaction scenarios of R152 (Annex 3, Appendix 2), driven on the right: no emergency braking.
+
+    That is 5 m/s² or more (5.2.1.2 to 5.2.3.2). Speeds are the least of the examples, times to collision the greatest,
+    where the front enters the curve. The road turns where the driver steers. Lanes of 3.5 m and the radius of 9 m are
+    Euro NCAP's; the outer edge of 3.2's curve has 25 m.
+    """
+    right_angle, outer, shift = 0.5 * math.pi, 25.0 - 0.5 * 3.5, math.sqrt(3.5 / _LANE_CHANGE)
+    rows: Iterable[tuple[str, str, str, int, float, float, Iterable[Curve], Mapping[str, object]]] = (
+        # test, paragraph, scenario, km/h, s to who stands beyond the curve's beginning, m to its left, curves, changes
+        ("turns left before a car", "1.2", "ccrs", 16, 2.8, 3.5, [(9.0, right_angle, "left")],
+         {"adversary.start_heading": -right_angle}),
+        ("car ahead turns right", "2.2", "ccrs", 26, 10.0, 3.5, [], {"others": [_turning(20.9, 26 / 3.6)]}),
+        ("pedestrian behind a curve's guard pipes", "3.2", "cpla", 22, 1.6, 0.0, [(outer, right_angle, "left")],
+         {"protocol.speed": 0.0}),
+        ("changes lanes before a signboard", "4.2", "ccrs", 40, 4.2, 0.0,
+         [(_LANE_CHANGE, shift, "left"), (_LANE_CHANGE, shift, "right")],
+         {"adversary.length": 0.5, "adversary.width": 1.0}),
+    )  # fmt: skip
+    for test, paragraph, scenario, speed, ahead, aside, curves, changes in rows:
+        turns = [{"radius": radius, "length": radius * angle, "turn": turn} for radius, angle, turn in curves]
+        road = {"road.parts": [{"length": 100.0}, *turns, {"length": 100.0}], "road.origin": 100.0}
+        start = {"car.start_time": 5.0, "car.start_time_range": 0.0, "protocol.headway": 5.0 + ahead}
+        # It lasts until the horizon.
+        end = {"adversary.destination_x": None, "ending": {"arrived": {"ahead_of": 200.0}, "missed": {}}}
+        yield _series(
+            f"false reaction: {test}", f"UN R152, 5.1.6 and Annex 3, Appendix 2, {paragraph}", scenario, {speed: 0},
+            places=(_place(aside),), changes={**road, **start, **end, **changes},
+            criterion=Criterion.BRAKING, limit=5.0,
+        )  # fmt: skip
+
+
+def _turning(gap: float, speed: float) -> dict[str, object]:
+    """Return a car that turns right `gap` (m) before one with a speed (m/s), 5 s before that one's line (2.2).
+
+    It has 10 km/h, and the radius of 5.5 m of Euro NCAP's turns to the near side. The test's target stands on the next
+    lane, far ahead.
+    """
+    angles = [0.1 * step for step in range(17)]
+    south, seconds = gap + 0.5 * _TARGET_LENGTH - 5.0 * speed, 5.5 / (10 / 3.6)
+    way = [
+        {"time": seconds * one, "x": 5.5 * (1.0 - math.cos(one)), "y": south + 5.5 * math.sin(one)} for one in angles
+    ]
+    return {**_STANDING, "way": [*way, {"time": seconds * angles[-1] + 18.0, "x": 55.0, "y": way[-1]["y"]}]}
 
 
 def _fmvss127() -> tuple[ProtocolMatrix, ...]:
@@ -131,6 +178,7 @@ _PARKED = [  # S8.3.3: 1 m beside the car, 1 m before the pedestrian, 1 m betwee
     for y in (-0.25 - 1.0 - 0.5 * _TARGET_LENGTH, -0.25 - 2.0 - 1.5 * _TARGET_LENGTH)
 ]  # fmt: skip
 
+_LANE_CHANGE = 463.0  # m, radius: the signboard is half a car's width aside 3.3 s before at the earliest
 _FIVE = {"car.start_time": 5.0}  # s to the target (S7.2, S9.1)
 
 NCAP = "ncap"
@@ -140,6 +188,7 @@ REGULATIONS: Final = {
         _r152(
             R152_PEDESTRIAN,
             _series("bicycle", "UN R152, 5.2.3.4 and 6.7", "cbna", R152_BICYCLE, target=15.0),
+            *_false_reactions(),
         ),
     ),
     "r152_first": ("UN R152, first step", _r152(R152_FIRST_STEP)),
