@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -75,44 +75,40 @@ def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
+def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> Iterator[FigureRow]:
     ranking = _ranking(figures)
     phis = formats.counted(len(figures["per_safe_trajectory"]), "φ")
-    runs = formats.counted(figures["collision_runs"], "run")
     speed, model, close = figures["impact_speed"], figures.get("adversary_model"), figures["optimality_gap"]
-    overrides: dict[str, dict[str, Any]] = {
-        "margin": {"basis": _margin_basis(figures)},
+    trials, pairs = formats.counted(ranking["trials"], "trial"), formats.counted(figures["pairs"], "pair")
+    failed = f"{ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
+    basis = {
+        "margin": _margin_basis(figures),
+        "equivalent_multiplier": _equivalent_basis(figures),
+        "nominal_collision_rate": f"{formats.counted(figures['collision_runs'], 'run')} over {phis}, along φ",
+        "impact_speed": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else "",
+        "deviation": f"{f'adversary model: {model}; ' if model else ''}{trials} over {phis}; {failed}",
+        "optimality_gap": "planned kamikazes needed so many times the margin",
+        "skd": f"{style.share(figures['kamikaze_success_rate'])} of trials collide; {pairs} over {phis}",
+    }
+    if risk := figures.get("risk"):
+        people = f"behaviour model {risk['behaviour']['name']}"
+        basis |= {f"risk_{one['scale']:g}": f"{one['method']}; {people}" for one in risk["scales"]}
+    if price := figures.get("price_of_caution"):
+        runs = formats.counted(len(price["runs"]), "harmless run")
+        basis["time_lost"] = f"{runs}; {style.share(figures['deadlock'])} never pass"
+    special: dict[str, dict[str, Any]] = {
         "equivalent_multiplier": {
             "clustered": _equivalent_interval(style, figures, CI95),
             "plain": _equivalent_interval(style, figures, THESE_PHI),
-            "basis": _equivalent_basis(figures),
         },
-        "nominal_collision_rate": {"basis": f"{runs} over {phis}, along φ"},
-        "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else ""},
-        "deviation": {
-            "basis": f"{f'adversary model: {model}; ' if model else ''}{formats.counted(ranking['trials'], 'trial')} "
-            f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
-        },
-        "optimality_gap": {
-            "basis": "planned kamikazes needed so many times the margin",
-            "alert": close is not None and close > GAP_WARNING,
-        },
-        "skd": {
-            "basis": f"{style.share(figures['kamikaze_success_rate'])} of trials collide; "
-            f"{formats.counted(figures['pairs'], 'pair')} over {phis}"
-        },
+        "optimality_gap": {"alert": close is not None and close > GAP_WARNING},
     }
-    risk = figures.get("risk")
-    if risk:
-        people = f"behaviour model {risk['behaviour']['name']}"
-        overrides.update({f"risk_{one['scale']:g}": {"basis": f"{one['method']}; {people}"} for one in risk["scales"]})
-    if price := figures.get("price_of_caution"):
-        runs = formats.counted(len(price["runs"]), "harmless run")
-        overrides["time_lost"] = {"basis": f"{runs}; {style.share(figures['deadlock'])} never pass"}
     if figures["skd"] is None:
-        overrides["skd"]["value"] = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
-    shown = [one for one in shown_in("summary") if one.first]
-    return [replace(_row(style, one, figures, main=True), **overrides.get(one.key, {})) for one in shown]
+        special["skd"] = {"value": "none kept" if figures["discarded_by_distance"] else "no kamikaze found"}
+    for one in shown_in("summary"):
+        if one.first:
+            row = _row(style, one, figures, main=True, basis=basis.get(one.key, ""))
+            yield replace(row, **special.get(one.key, {}))
 
 
 def _row(style: formats.Style, one: Figure, figures: Mapping[str, Any], **rest: Any) -> FigureRow:
@@ -138,82 +134,60 @@ def _margin_basis(figures: Mapping[str, Any]) -> str:
     return f"{how}; {formats.counted(figures['margin_trials'], 'trial')} over {phis}"
 
 
-def _margin_details(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
-    rows = []
+def _margin_details(figures: Mapping[str, Any], style: formats.Style) -> Iterator[FigureRow]:
     if figures["margin"] is not None:
+        trials = figures["margin_trials"]
         if figures["margin_budget"] is not None:
             stopped = "converged" if figures["margin_converged"] else "not converged"
-            name = "margin: candidates driven in a trial"
-            rows.append(FigureRow(name, f"{figures['margin_budget']:,}", basis=stopped))
+            yield FigureRow("margin: candidates driven in a trial", f"{figures['margin_budget']:,}", basis=stopped)
             for one in figures["margin_sources"] or ():
-                lowered = style.number(one["lowered"] / figures["margin_trials"], 3)
                 basis = f"{one['hits']:,} better hits of {one['candidates']:,} candidates"
-                rows.append(FigureRow(f"  lowered by {one['source']} (m)", lowered, basis=basis))
-        elif figures["margin_gap"]:
-            rows.append(
-                FigureRow("margin: the least is at most this much less (m)", style.number(figures["margin_gap"], 4))
-            )
+                lowered = style.number(one["lowered"] / trials, 3)
+                yield FigureRow(f"  lowered by {one['source']} (m)", lowered, basis=basis)
+        elif gap := figures["margin_gap"]:
+            yield FigureRow("margin: the least is at most this much less (m)", style.number(gap, 4))
         if figures["margin_how"]:
-            rows.append(FigureRow("margin: what was searched", "", basis=str(figures["margin_how"])))
+            yield FigureRow("margin: what was searched", "", basis=str(figures["margin_how"]))
         name = f"margin: trials without a hit within {figures['eta_max']:g} m"
-        rows.append(FigureRow(name, f"{figures['margin_beyond']} of {figures['margin_trials']}"))
-        rows += _further(style, figures, Of.MARGIN)
-    walked = figures["collision_standing_contacts"]
-    runs = formats.counted(figures["collision_runs"], "run") + (
-        f"; {walked} walked into a standing car" if walked else ""
-    )
-    return [*rows, _row(style, AT_THE_TOP["contact_rate"], figures, basis=runs), *_further(style, figures, Of.CAR)]
+        yield FigureRow(name, f"{figures['margin_beyond']} of {trials}")
+        yield from _further(style, figures, Of.MARGIN)
+    runs = formats.counted(figures["collision_runs"], "run") + _walked_into(figures["collision_standing_contacts"])
+    yield _row(style, AT_THE_TOP["contact_rate"], figures, basis=runs)
+    yield from _further(style, figures, Of.CAR)
 
 
-def _planned_details(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
-    ranking = _ranking(figures)
-    rows = []
-    if ranking["failed"] and figures["deviation"] is not None:
-        rows.append(
-            FigureRow(
-                "planned deviation of those that were hit alone (m)", style.number(figures["deviation_of_successes"])
-            )
-        )
+def _walked_into(count: int) -> str:
+    return f"; {count} walked into a standing car" if count else ""
+
+
+def _planned_details(figures: Mapping[str, Any], style: formats.Style) -> Iterator[FigureRow]:
+    if _ranking(figures)["failed"] and figures["deviation"] is not None:
+        name = "planned deviation of those that were hit alone (m)"
+        yield FigureRow(name, style.number(figures["deviation_of_successes"]))
     for name, found in figures["objectives"].items():
-        tried = f"{found['trials'] - found['failed']} of {formats.counted(found['trials'], 'trial')}"
-        walked = f"; {found['standing_contacts']} walked into a standing car" if found["standing_contacts"] else ""
-        rows.append(
-            FigureRow(
-                f"success rate, {name}",
-                style.share(found["success_rate"]),
-                style.share(found.get("success_rate_ci95")),
-                style.share(found.get("success_rate_ci95_trials")),
-                f"{tried} {'were hit' if found['plans_deviation'] else 'collided'}{walked}",
-            )
-        )
+        hit = f"{found['trials'] - found['failed']} of {formats.counted(found['trials'], 'trial')}"
+        basis = f"{hit} {'were hit' if found['plans_deviation'] else 'collided'}"
+        basis += _walked_into(found["standing_contacts"])
+        rate, by_phi, plain = (style.share(found.get(f"success_rate{end}")) for end in ("", "_ci95", "_ci95_trials"))
+        yield FigureRow(f"success rate, {name}", rate, by_phi, plain, basis)
     for one in figures["measures"].values():
         if one["shown"] and not one["error"]:
             name = f"{one['label']} ({one['unit']})" if one["unit"] else one["label"]
             undefined = f"{one['undefined']} pairs without" if one["undefined"] else ""
-            rows.append(
-                FigureRow(
-                    name,
-                    style.number(one["mean"]),
-                    style.number(one["ci95"]),
-                    style.number(one["ci95_pairs"]),
-                    undefined,
-                )
-            )
-    return [*rows, *_further(style, figures, Of.RANKING)]
+            mean, by_phi, plain = (style.number(one[key]) for key in ("mean", "ci95", "ci95_pairs"))
+            yield FigureRow(name, mean, by_phi, plain, undefined)
+    yield from _further(style, figures, Of.RANKING)
 
 
-def _skd_details(figures: Mapping[str, Any], style: formats.Style) -> list[FigureRow]:
-    rows = [_row(style, AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")]
-    rows += _further(style, figures, Of.SKD, "of the pairs of SKD")
+def _skd_details(figures: Mapping[str, Any], style: formats.Style) -> Iterator[FigureRow]:
+    yield _row(style, AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")
+    yield from _further(style, figures, Of.SKD, "of the pairs of SKD")
     for eta, bound in figures["probability_bound"].items() if figures["skd"] is not None else ():
-        known = figures["probability_bound_ci95"][eta]
+        name, of = f"P(d ≤ {eta} m) at most", "of these kamikazes, from mean and variance of their distances"
+        known = style.number(figures["probability_bound_ci95"][eta])
         sharper = cantelli_bound(float(eta), figures["skd"], figures["variance"])
-        of = "of these kamikazes, from mean and variance of their distances"
-        rows += [
-            FigureRow(f"P(d ≤ {eta} m) at most, Theorem 1", style.number(bound), style.number(known), basis=of),
-            FigureRow(f"P(d ≤ {eta} m) at most, Cantelli", style.number(sharper), basis="never above Theorem 1"),
-        ]
-    return rows
+        yield FigureRow(f"{name}, Theorem 1", style.number(bound), known, basis=of)
+        yield FigureRow(f"{name}, Cantelli", style.number(sharper), basis="never above Theorem 1")
 
 
 _EVERY = 5

@@ -18,11 +18,10 @@ from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
-from skd_evaluator.report import charts, formats, repeat
+from skd_evaluator.report import charts, formats, repeat, rows
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.subjects import Subject, episode_data, margin_hits, pack, scene, worst_first
 from skd_evaluator.report.html.template import SECTIONS, filled
-from skd_evaluator.report.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.version import version
 
 LARGEST = 5_000_000
@@ -67,66 +66,48 @@ _BLOCK = '<script type="text/plain" id="data"></script>'
 
 def _page(subjects: Sequence[Subject], headings: Mapping[str, Sequence[str]], comparisons: int) -> str:
     """Return the page without its data: with the headings of its charts, and so many comparisons."""
-    views = [_view(one) for one in subjects]
-    for view, colour in zip(views, palette.of_cars(len(views)), strict=True):
-        view["colour"] = colour
     script, library = _joined(_SCRIPTS), charts.chart_library()
     return filled(
         "skd_evaluator.report.html",
         "report.html.j2",
-        subjects=views,
-        listed=[views[place] for place in figures.by_scenario(subjects)],
-        matrix=figures.matrix_of(subjects),
-        notes=figures.ranking_notes(subjects),
+        assessments=subjects,
+        subjects=[_view(one, colour) for one, colour in zip(subjects, palette.of_cars(len(subjects)), strict=True)],
         sections=[section for name in SECTIONS.registered() if (section := SECTIONS.find(name)(subjects))],
         **headings,
         comparisons=comparisons,
-        price_caption=charts.PRICE_CAPTION,
         scales=len(SCALES),
-        against=charts.against_multiplier(subjects),
-        unranked=figures.unranked_notes(subjects),
         of_margins=any(one.figures["margin"] is not None for one in subjects),
         hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
         gap_warning=GAP_WARNING,
         style=_template("style.css"),
-        no_rating=formats.NO_RATING,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
         episodes=sum(len(one.episodes) for one in subjects),
         version=version(),
-        palette=palette,
-        scenario_file=repeat.SCENARIO_FILE,
-        car_model_file=repeat.CAR_MODEL_FILE,
-        behaviour_file=repeat.BEHAVIOUR_FILE,
+        **{one.__name__.rpartition(".")[2]: one for one in (charts, figures, formats, palette, repeat, rows)},
         failures=any(formats.failures_in(one.figures) for one in subjects),
         externals=any(CarUnderTest(str(one.figures["controller"])).is_external for one in subjects),
     )
 
 
-def _view(subject: Subject) -> dict[str, Any]:
-    """Return what the template says of a subject."""
-    model, risky = subject.figures["car_model"], bool(formats.failures_in(subject.figures))
+def _view(subject: Subject, colour: str) -> dict[str, Any]:
+    """Return what the template says of a subject in several places, and the files that it has."""
+    found, behaviour = subject.figures, ""
+    if formats.failures_in(found) and not repeat.behaviour_name(found):
+        behaviour = _link(to_yaml(found["risk"]["behaviour"]))
     return {
+        "of": subject,
+        "figures": found,
         "label": subject.label,
+        "colour": colour,
         "state": figures.state_of(subject),
         "sentences": figures.sentences_of(subject),
-        "rows": figure_rows(subject.figures),
-        "bounds": bounds_of(subject.curve),
-        "failures": failure_rows(subject.figures),
-        "failures_sentence": formats.failures_sentence(subject.figures),
-        "behaviour": subject.figures["risk"]["behaviour"]["name"] if risky else "",
-        "behaviour_link": _link(subject.figures["risk"]["behaviour"])
-        if risky and not repeat.behaviour_name(subject.figures)
-        else "",
-        "per_safe": figures.per_safe_rows(subject),
-        "surrogates": figures.surrogate_cells(subject.figures),
-        "walkers": [name for name, _ in formats.surrogate_groups(subject.figures)],
-        "same_safe": figures.same_safe(subject),
+        "rows": rows.figure_rows(found),
         "warnings": figures.warnings_of(subject),
-        "made": figures.made_rows(subject),
-        "scenario": _json_text(subject.figures["scenario"]),
-        "scenario_link": "" if repeat.scenario_name(subject.figures) else _link(to_yaml(subject.figures["scenario"])),
-        "car_model_link": _link(_json_text(model)) if model else "",
+        "scenario": _json_text(found["scenario"]),
+        "scenario_link": "" if repeat.scenario_name(found) else _link(to_yaml(found["scenario"])),
+        "car_model_link": _link(_json_text(found["car_model"])) if found["car_model"] else "",
+        "behaviour_link": behaviour,
     }
 
 
