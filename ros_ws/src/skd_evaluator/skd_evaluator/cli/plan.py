@@ -61,9 +61,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         prior = None if arguments.figure == "contact_rate" else DISTANCES
         sizes = sizes_for_width(arguments.width, between, within, prior=prior, counts=counts)
     else:
-        sizes = sizes_for_power(
-            arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts
-        )
+        goal = arguments.difference, arguments.power
+        sizes = sizes_for_power(*goal, between, within, paired=source.paired, counts=counts)
     if not sizes:
         raise UsageError("even 10,000 φ are not enough: ask for a wider interval or a larger difference")
     cheapest = min(sizes, key=lambda size: (size.episodes, size.safe))
@@ -90,9 +89,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 
     warnings = [line for one in results for line in one.remarks]
     if source.phi is not None and source.phi < _FEW:
-        warnings.append(
-            f"planned from {source.phi} φ, which is uncertain: take more, or --until-width, which does not rely on it"
-        )
+        advice = "take more, or --until-width, which does not rely on it"
+        warnings.append(f"planned from {source.phi} φ, which is uncertain: {advice}")
     return finish(arguments, content, show, warnings)
 
 
@@ -114,16 +112,14 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
         return _Variances(of_a_difference, True, text)
     for one in results:
         if arguments.figure not in one.groups:
-            raise UsageError(
-                f"{one.folder} has no {arguments.figure} ({one.figures['margin_note']}): choose another --figure"
-            )
+            none = f"no {arguments.figure} ({one.figures['margin_note']})"
+            raise UsageError(f"{one.folder} has {none}: choose another --figure")
     first = results[0]
     groups = first.groups[arguments.figure]
     if len(results) == 1:
         if arguments.difference is not None and not arguments.unpaired:
-            raise UsageError(
-                "--difference on the same φ is planned from two results: give two, or add --unpaired for different φ"
-            )
+            advice = "give two, or add --unpaired for different φ"
+            raise UsageError(f"--difference on the same φ is planned from two results: {advice}")
         return _Variances(variance_components(groups), False, f"Planned from {first.folder}", len(groups))
     if arguments.width is not None or arguments.unpaired:
         raise UsageError("two results are for --difference of cars on the same φ; give one")

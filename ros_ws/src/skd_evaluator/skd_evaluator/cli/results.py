@@ -15,18 +15,8 @@ from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.gate import Gate
 from skd_evaluator.cli.output import print_json, say, warn
 from skd_evaluator.metrics.margins import reference_text
+from skd_evaluator.report import terminal
 from skd_evaluator.report.formats import counted
-from skd_evaluator.report.terminal import (
-    command_ages,
-    details_table,
-    few_safe_trajectories,
-    headline,
-    headline_table,
-    interval_notes,
-    print_table,
-    safe_trajectory_table,
-    surrogate_table,
-)
 from skd_evaluator.report.warnings import PLANNED, most_frequent, warnings_of, why_failed
 from skd_evaluator.ros.processes import log_of
 
@@ -101,19 +91,20 @@ def _reasons(reasons: Sequence[str], logs: Path) -> str:
 
 def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
-    print(headline(result))
-    print_table(headline_table(result))
+    print(terminal.headline(result))
+    terminal.print_table(terminal.headline_table(result))
     beside = reference_text(result.get("reference") or ())
     reference = beside and f"Reference drivers: {beside}."
-    for line in filter(None, (reference, command_ages(result), few_safe_trajectories(result))):
+    for line in filter(None, (reference, terminal.command_ages(result), terminal.few_safe_trajectories(result))):
         print(line)
     if not details:
         return
     if result["equivalent_multiplier_note"]:
         print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
-    for table in filter(None, (details_table(result), surrogate_table(result), safe_trajectory_table(result))):
-        print_table(table)
-    for note in interval_notes(result):
+    for table_of in (terminal.details_table, terminal.surrogate_table, terminal.safe_trajectory_table):
+        if table := table_of(result):
+            terminal.print_table(table)
+    for note in terminal.interval_notes(result):
         print(f"Interval of {note}")
     if result["until_width"]:
         print(f"Stopped {result['until_width']['text']}")
@@ -122,14 +113,14 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
 def say_damage(command: str, damage: Damage) -> None:
     """Say what was left out of recordings, and what is to be known of the rest."""
     say_left_out(command, damage)
-    lines = list(damage.warnings)
+    warn(command, damage.warnings)
     if damage.unchecked:
-        first = f"{damage.unchecked[0]}" + (", …" if len(damage.unchecked) > 1 else "")
-        lines.append(
-            f"{counted(len(damage.unchecked), 'file')} without checksums ({first}): damage that leaves a possible "
-            "episode cannot be noticed there"
+        files, first = (
+            counted(len(damage.unchecked), "file"),
+            f"{damage.unchecked[0]}{', …' * (len(damage.unchecked) > 1)}",
         )
-    warn(command, lines)
+        why = "damage that leaves a possible episode cannot be noticed there"
+        warn(command, [f"{files} without checksums ({first}): {why}"])
 
 
 def say_left_out(command: str, damage: Damage) -> None:

@@ -11,6 +11,7 @@ import shutil
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,7 +38,7 @@ from skd_evaluator.files import UNFINISHED
 if TYPE_CHECKING:  # help reads this module, and they take time
     from skd_evaluator.assessment.assessment import Assessment
     from skd_evaluator.assessment.context import Runner
-    from skd_evaluator.assessment.files.result_folder import ResultFolder
+    from skd_evaluator.assessment.files.result_folder import ResultFolder, Scratch
     from skd_evaluator.assessment.files.results import StoredResult
     from skd_evaluator.assessment.plan import Plan
 
@@ -75,8 +76,10 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
 
     from skd_evaluator.assessment.assessment import Assessment
     from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
+    from skd_evaluator.assessment.stages.pipeline import compile_for_graph
     from skd_evaluator.cli.results import print_result
     from skd_evaluator.provenance import provenance
+    from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.ros.session import prepare_ros
 
     begin = time.perf_counter()
@@ -107,8 +110,13 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     kept = _KeptEpisodes(arguments, begun, out.path)
     done = True
     try:
-        assess = _through_graph if arguments.graph else _in_process
-        assessment, problem = assess(arguments, assessment, request, out, begin, kept)
+        if arguments.graph:
+            compile_for_graph(plan, request["objectives"])
+        with out.scratch() if arguments.graph else nullcontext() as scratch:
+            with progress_bar(quiet=arguments.quiet, steps=_steps(plan, request)) as progress:
+                assessment = _run_stages(arguments, assessment, {**request, "progress": progress}, kept, scratch)
+            assessment = replace(assessment, seconds=time.perf_counter() - begin)
+            problem = out.save(lambda folder: _write(folder, assessment, arguments, scratch))
         done = problem is None
     except KeyboardInterrupt:
         done = False
@@ -226,56 +234,30 @@ def requested(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _in_process(
+def _run_stages(
     arguments: argparse.Namespace,
     assessment: Assessment,
     request: dict[str, Any],
-    out: ResultFolder,
-    begin: float,
     kept: _KeptEpisodes,
-) -> tuple[Assessment, str | None]:
-    """Return the assessment, and why it could not be written, if so."""
+    scratch: Scratch | None,
+) -> Assessment:
+    """Return the assessment with all stages run in process, or through a graph, which has a scratch folder."""
     from skd_evaluator.assessment.context import Context
     from skd_evaluator.assessment.stages.checks import fresh_process
     from skd_evaluator.assessment.stages.pipeline import assess_in_process
-    from skd_evaluator.report.progress import progress_bar
-
-    workers = runner_of(arguments, isolated=assessment.plan.runs_others_code, answer_limit=arguments.startup_timeout)
-    fresh = partial(fresh_process, arguments.startup_timeout)
-    with progress_bar(quiet=arguments.quiet, steps=_steps(assessment.plan, request)) as progress:
-        context = Context(kept.runner(workers), workers, progress=progress, fresh=fresh, **request)
-        assessment = assess_in_process(context, assessment)
-    assessment = replace(assessment, seconds=time.perf_counter() - begin)
-    return assessment, out.save(lambda folder: _write(folder, assessment, arguments, may_fork=True))
-
-
-def _through_graph(
-    arguments: argparse.Namespace,
-    assessment: Assessment,
-    request: dict[str, Any],
-    out: ResultFolder,
-    begin: float,
-    kept: _KeptEpisodes,
-) -> tuple[Assessment, str | None]:
-    from skd_evaluator.assessment.stages.pipeline import compile_for_graph
-    from skd_evaluator.report.presentation import with_scratch
-    from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.ros.processes import GraphSetting
     from skd_evaluator.ros.session import assess_through_graph
 
     plan = assessment.plan
-    compile_for_graph(plan, request["objectives"])
-    with out.scratch() as scratch:
-        bags = scratch.folder / "bags" if arguments.record else None
-        setting = GraphSetting(
-            options=graph_options(arguments), car=plan.car, log_folder=scratch.logs, simulator=plan.simulator,
-            record_to=bags,
-        )  # fmt: skip
-        with progress_bar(quiet=arguments.quiet, steps=_steps(plan, request)) as progress:
-            assessment = assess_through_graph(assessment, setting, {**request, "progress": progress}, kept.runner)
-        assessment = replace(assessment, seconds=time.perf_counter() - begin)
-        problem = out.save(with_scratch(scratch.folder, lambda folder: _write(folder, assessment, arguments)))
-    return assessment, problem
+    if scratch is None:
+        limit = arguments.startup_timeout
+        workers = runner_of(arguments, isolated=plan.runs_others_code, answer_limit=limit)
+        context = Context(kept.runner(workers), workers, fresh=partial(fresh_process, limit), **request)
+        return assess_in_process(context, assessment)
+    bags = scratch.folder / "bags" if arguments.record else None
+    options, simulator = graph_options(arguments), plan.simulator
+    setting = GraphSetting(options=options, car=plan.car, log_folder=scratch.logs, simulator=simulator, record_to=bags)
+    return assess_through_graph(assessment, setting, request, kept.runner)
 
 
 def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
@@ -290,15 +272,18 @@ def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
     return [*steps, "price of caution"]
 
 
-def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
-    """Write an assessment, with its pictures if they are requested."""
+def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, scratch: Scratch | None) -> None:
+    """Write an assessment, with its pictures if they are requested, and what a graph left."""
     from skd_evaluator.assessment.files.results import write_assessment
-    from skd_evaluator.report.presentation import fill
+    from skd_evaluator.report.presentation import fill, with_scratch
 
-    if arguments.pictures:
-        fill(folder, assessment, may_fork=may_fork)
-    else:
-        write_assessment(folder, assessment)
+    def write(where: Path) -> None:
+        if arguments.pictures:
+            fill(where, assessment, may_fork=scratch is None)
+        else:
+            write_assessment(where, assessment)
+
+    (write if scratch is None else with_scratch(scratch.folder, write))(folder)
 
 
 class _KeptEpisodes:

@@ -58,10 +58,17 @@ def run(arguments: argparse.Namespace) -> int:
         from skd_evaluator.cli import plan
 
         return plan.run(arguments)
-    from skd_evaluator.assessment.files.results import result_folders
+    from skd_evaluator.assessment.files.assessment_json import understood
+    from skd_evaluator.assessment.files.results import read_result, result_folders
+
+    def compared(folders: Sequence[Path], controller: str = "") -> int:
+        if len(folders) < 2:
+            raise UsageError("give folders with at least two assessments")
+        with understood(Path("one of the results")):
+            return _compare(arguments, list(map(read_result, folders)), str(ControllerName(controller)))
 
     if not arguments.rev:
-        return _compare(arguments, result_folders(arguments.paths))
+        return compared(result_folders(arguments.paths))
     from skd_evaluator.cli.revisions import Repository, assess_request
     from skd_evaluator.report.progress import progress_bar
 
@@ -73,28 +80,18 @@ def run(arguments: argparse.Namespace) -> int:
         progress_bar(quiet=arguments.quiet) as progress,
         repository.assessed(arguments.rev, request, progress) as folders,
     ):
-        return _compare(arguments, folders, request.controller)
+        return compared(folders, request.controller)
 
 
-def _compare(arguments: argparse.Namespace, folders: Sequence[Path], controller: str = "") -> int:
+def _compare(arguments: argparse.Namespace, results: Sequence[StoredResult], controller: str) -> int:
     """Compare results.
 
     Args:
         arguments: of the command.
-        folders: at least two, or it is refused.
+        results: at least two.
         controller: what both cars are called where they are driven again; empty: what they are called in the results.
     """
-    from skd_evaluator.assessment.files.assessment_json import understood
-    from skd_evaluator.assessment.files.results import read_result
-
-    if len(folders) < 2:
-        raise UsageError("give folders with at least two assessments")
-    with understood(Path("one of the results")):
-        return _run(arguments, list(map(read_result, folders)), str(ControllerName(controller)))
-
-
-def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], controller: str) -> int:
-    from skd_evaluator.assessment.compare.comparison import Comparison, compare, ranking_figure
+    from skd_evaluator.assessment.compare.comparison import compare, ranking_figure
     from skd_evaluator.assessment.figure_table import columns
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.margin.common_trajectories import distinguishing_trials, on_common_trajectories
@@ -116,25 +113,21 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
     ]
     # All verdicts together are to be right with 95 %: Bonferroni's share for each.
     confidence = 1.0 - 0.05 / (len(results) - 1)
-    compared: list[Comparison] = []
-    tried: list[str] = []
+    entries: list[dict[str, Any]] = []
     found: list[Explanation] = []
+    warnings = [line for one in results for line in one.remarks]
     with progress_bar() as progress:
         for name, other in zip(names[1:], results[1:], strict=True):
-            first, second, said = on_common_trajectories(results[0], other, progress)
-            compared.append(compare(first, second, confidence))
-            tried += said
+            first, second, tried = on_common_trajectories(results[0], other, progress)
+            compared = compare(first, second, confidence)
+            entries.append({"car": name, "compared_with": names[0], **compared.as_dict()})
+            warnings += [*tried, *compared.lines()]
             if arguments.explain:
                 from skd_evaluator.cli.explain import Explanation  # which draws: slow to import
 
                 first_only, second_only = distinguishing_trials(results[0], other, progress)
                 found.append(Explanation(names[0], name, first_only, controller))
                 found.append(Explanation(name, names[0], second_only, controller))
-    entries = [
-        {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
-    ]
-    remarks = [line for one in results for line in one.remarks]
-    warnings = [*remarks, *tried, *(line for one in compared for line in one.lines()), *equal_remarks(rows, "car")]
     ranked_by = ranking_figure(results)
     content: dict[str, Any] = {
         "rows": rows,
@@ -142,7 +135,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult], control
         "confidence": confidence,
         "comparisons": entries,
         **({"only_one_hits": [one.as_dict() for one in found]} if arguments.explain else {}),
-        "warnings": list(dict.fromkeys(warnings)),
+        "warnings": list(dict.fromkeys([*warnings, *equal_remarks(rows, "car")])),
     }
     if arguments.rev:  # each was rated elsewhere, and will be there
         there, here = (json.dumps(str(one))[1:-1] for one in (results[0].folder.parent, out.path))

@@ -61,10 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     watched = sys.stdin.isatty() and can_draw() and not (arguments.json or arguments.quiet)
     if not watched and arguments.safe is None and arguments.ticks is None:
-        raise UsageError(
-            "the adversary is moved by the keys of a terminal, and here is none: with --safe synthetic it follows a "
-            "safe trajectory, with --ticks N it stands"
-        )
+        ways = "with --safe synthetic it follows a safe trajectory, with --ticks N it stands"
+        raise UsageError(f"the adversary is moved by the keys of a terminal, and here is none: {ways}")
     plan, options = _plan_and_graph(arguments)
     if arguments.graph:
         prepare_ros(options)
@@ -113,9 +111,8 @@ class _Episodes:
         horizon = plan.scenario.horizon if arguments.ticks is None else arguments.ticks * plan.scenario.time_step
         self._plan = replace(plan, scenario=replace(plan.scenario, horizon=horizon))
         if not self.by_keys and self._first >= len(self._safe):
-            raise UsageError(
-                f"--safe-number {self._first}: there are {len(self._safe)} safe trajectories, numbered from 0"
-            )
+            there = f"there are {len(self._safe)} safe trajectories, numbered from 0"
+            raise UsageError(f"--safe-number {self._first}: {there}")
 
     def at(self, number: int) -> EpisodeSpec:
         """Return the episode of a number: one φ after another, and new draws each time."""

@@ -28,12 +28,8 @@ def add(parser: Parser) -> None:
     parser.add_value("--scale", text, type=positive_number, default=1.0, metavar="S")
     parser.add_count("--trial", 0, 2**63 - 1, "which trial of the assessment to repeat, from 0", default=0)
     # A single episode has one objective, and one φ: that of a campaign with as many.
-    single = {
-        "default": str(CampaignOptions.objective),
-        "choices": OBJECTIVES,
-        "metavar": "NAME",
-        "help": "what the kamikaze is rewarded for: deviation, paper or frechet (default: %(default)s)",
-    }
+    text = "what the kamikaze is rewarded for: deviation, paper or frechet (default: %(default)s)"
+    single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME", "help": text}
     parser.add_options("campaign", hidden=("simulations",), objective=single)
     text = "how many safe trajectories the assessment has to which this episode belongs"
     parser.add_count("--safe-count", 1, 65_535, text, default=1)
@@ -61,10 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=True))
     number, trial, graph = arguments.safe_number, arguments.trial, graph_options(arguments)
     if number >= plan.safe_count:
-        raise UsageError(
-            f"--safe-number {number}: there are {plan.safe_count} safe trajectories, numbered from 0; --safe-count "
-            "says how many"
-        )
+        there = f"there are {plan.safe_count} safe trajectories, numbered from 0; --safe-count says how many"
+        raise UsageError(f"--safe-number {number}: {there}")
     prepare_ros(graph)
     out = result_folder(arguments)
     if arguments.mode == "risk":

@@ -132,11 +132,9 @@ def _fit_people(arguments: argparse.Namespace) -> int:
         print(seconds if problem else f"{seconds}; behaviour model in {out.path / FILE_NAME}, picture in {BEHAVIOUR}")
 
     problem = out.save(write)
-    worst = (
-        f"a quantile of people held out is {100.0 * validation.worst:.0f} % off, more than {100.0 * WITHIN:.0f} %: "
-        "they walk otherwise than the others, or than the model can"
-    )
-    warnings = [worst] if validation.worst > WITHIN else []
+    off = f"{100.0 * validation.worst:.0f} % off, more than {100.0 * WITHIN:.0f} %"
+    why = "they walk otherwise than the others, or than the model can"
+    warnings = [f"a quantile of people held out is {off}: {why}"] if validation.worst > WITHIN else []
     content = {**behaviour.as_dict(), "validation": validation.as_dict()}
     return finish(arguments, content, show, warnings, [problem])
 
@@ -149,7 +147,5 @@ def _check_enough(tracks: Sequence[Tracked]) -> None:
     by, folds = folds_of(tracks)
     left = min(len(folds) - folds.count(fold) for fold in set(folds))
     if left < LEAST_TRACKS:
-        raise UsageError(
-            f"{len(tracks)} tracks, of which {left} are left when those of one {by} are held out; a behaviour model "
-            f"needs at least {LEAST_TRACKS}"
-        )
+        held = f"{len(tracks)} tracks, of which {left} are left when those of one {by} are held out"
+        raise UsageError(f"{held}; a behaviour model needs at least {LEAST_TRACKS}")

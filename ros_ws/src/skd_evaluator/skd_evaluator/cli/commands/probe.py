@@ -60,9 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = check_car(vars(arguments), load_scenario(arguments.scenario or "crossing"), graph=arguments.graph)
     make_simulator(arguments.simulator)
     car = CarUnderTest(arguments.controller, arguments.multiplier)
-    probes = probe_episodes(
-        scenario, arguments.episodes, seed=arguments.seed, controller=car.controller, multiplier=car.multiplier
-    )
+    whose = {"seed": arguments.seed, "controller": car.controller, "multiplier": car.multiplier}
+    probes = probe_episodes(scenario, arguments.episodes, **whose)
     episodes = [replace(one, simulator=arguments.simulator) for one in probes]
     if arguments.graph:
         prepare_ros(graph_options(arguments))
@@ -82,10 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     with out.scratch() if arguments.graph else nullcontext() as scratch:
         try:
-            if scratch is None:
-                warnings = _in_process(arguments, car, collect, logs)
-            else:
-                warnings = _through_graph(arguments, car, scratch, collect, logs)
+            warnings = _run(arguments, car, collect, logs, scratch)
         except KeyboardInterrupt:
             say("probe", f"interrupted after {len(logs)} of {len(episodes)} episodes; nothing was written")
             return EXIT_INTERRUPTED
@@ -116,30 +112,24 @@ def run(arguments: argparse.Namespace) -> int:
     return code
 
 
-def _in_process(
-    arguments: argparse.Namespace, car: CarUnderTest, collect: Callable[[Runner], None], logs: Sequence[EpisodeLog]
-) -> tuple[str, ...]:
-    """Collect logs of this process, and return warnings."""
-    from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
-
-    isolated = not (car.is_own and is_own_world(arguments.simulator))
-    with runner_of(arguments, isolated=isolated, answer_limit=arguments.startup_timeout) as runner:
-        runner.start()
-        collect(runner)
-    return () if car.is_own else repeatability(car.controller, logs, fresh_process)
-
-
-def _through_graph(
+def _run(
     arguments: argparse.Namespace,
     car: CarUnderTest,
-    scratch: Scratch,
     collect: Callable[[Runner], None],
     logs: Sequence[EpisodeLog],
+    scratch: Scratch | None,
 ) -> tuple[str, ...]:
-    from skd_evaluator.assessment.stages.checks import repeatability
+    """Collect logs of this process, or of a graph, which has a scratch folder; return warnings."""
+    from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
     from skd_evaluator.ros.processes import GraphSetting
     from skd_evaluator.ros.session import fresh_graph, graph_session
 
+    if scratch is None:
+        isolated = not (car.is_own and is_own_world(arguments.simulator))
+        with runner_of(arguments, isolated=isolated, answer_limit=arguments.startup_timeout) as runner:
+            runner.start()
+            collect(runner)
+        return () if car.is_own else repeatability(car.controller, logs, fresh_process)
     warnings: tuple[str, ...] = ()
     setting = GraphSetting(
         options=graph_options(arguments), car=car, log_folder=scratch.logs, simulator=arguments.simulator,
