@@ -129,14 +129,10 @@ class Onlooker:
 
 _DIRECTIONS: Final = {
     # As seen on the screen, on which the car drives to the right: (East, North).
-    "up": (-1.0, 0.0),
-    "w": (-1.0, 0.0),
-    "down": (1.0, 0.0),
-    "s": (1.0, 0.0),
-    "left": (0.0, -1.0),
-    "a": (0.0, -1.0),
-    "right": (0.0, 1.0),
-    "d": (0.0, 1.0),
+    **dict.fromkeys(("up", "w"), (-1.0, 0.0)),
+    **dict.fromkeys(("down", "s"), (1.0, 0.0)),
+    **dict.fromkeys(("left", "a"), (0.0, -1.0)),
+    **dict.fromkeys(("right", "d"), (0.0, 1.0)),
     " ": (0.0, 0.0),
 }
 _PACES: Final = (0.25, 0.5, 0.75, 1.0)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Final
 
 import numpy as np
@@ -21,6 +20,7 @@ from skd_sim.world.state import FloatArray
 
 from skd_evaluator import palette
 from skd_evaluator.driving.drive import Situation
+from skd_evaluator.metrics.contact_place import outline_of
 
 KEYS = "arrows or w a s d: walk · space: stand · + −: pace · r: again · q: quit"
 KEYS_OF_ONLOOKER = "r: again · q: quit"
@@ -80,13 +80,12 @@ def _figures(situation: Situation, width: int) -> Iterator[str | tuple[str, str]
         yield value.ljust(max(1, half - len(name) - 1))
 
 
-@contextmanager
-def drawing(screen: Screen) -> Iterator[None]:
-    """Draw a screen on its terminal as long as this lasts; afterwards it is as it was before."""
-    live = Live(screen, console=screen.console, screen=True, refresh_per_second=_REFRESH, redirect_stdout=False,
-                redirect_stderr=False)  # fmt: skip
-    with live:
-        yield
+def drawing(screen: Screen) -> Live:
+    """Return what draws a screen on its terminal while it is entered; afterwards it is as it was before."""
+    return Live(
+        screen, console=screen.console, screen=True, refresh_per_second=_REFRESH, redirect_stdout=False,
+        redirect_stderr=False,
+    )  # fmt: skip
 
 
 def can_draw() -> bool:
@@ -179,8 +178,13 @@ def top_view(situation: Situation, width: int, height: int) -> Text:
         height: in lines.
     """
     car, adversary, scenario = situation.car, situation.adversary, situation.scenario
-    half = _scale(situation, width, height)
-    view, fine = _TopView(width, height, _middle(situation, width, half), half), 0.5 * half
+    # The least of the scales at which both are in the picture, else the greatest one.
+    along, aside = abs(car.y - adversary.y) + 2.0 * _ROOM, max(abs(car.x), abs(adversary.x)) + 0.5 * _ROOM
+    half = next((one for one in _SCALES if along <= one * width and aside <= one * height), _SCALES[-1])
+    # In its middle is the place between both, or, where that is too far, one near the adversary.
+    beside = 0.5 * half * width - _ROOM
+    middle = min(max(0.5 * (car.y + adversary.y), adversary.y - beside), adversary.y + beside)
+    view, fine = _TopView(width, height, (0.0, middle), half), 0.5 * half
     reach = max(_LANE_REACH, half * width)
     low, high = car.y - reach, car.y + reach
     for left, right in scenario.road.surfaces(low, high):
@@ -190,27 +194,11 @@ def top_view(situation: Situation, width: int, height: int) -> Text:
     if situation.phi is not None:
         view.points(_between(situation.phi, fine), _SAFE, palette.SKY)
     view.points(_between(situation.walked, fine), _WAY, palette.ORANGE)
-    view.polygon(_box((car.x, car.y), car.heading, scenario.car.front, scenario.car.rear, scenario.car.half_width),
-                 palette.CAR)  # fmt: skip
+    view.polygon(outline_of(scenario, (car.x, car.y, car.heading)), palette.CAR)
     for other, state in zip(scenario.others, scenario.others_after(situation.time), strict=True):
         _draw(view, other, state[:2], state.heading, palette.OBSTACLE)
     _draw(view, scenario.adversary, adversary[:2], adversary.heading, palette.VERMILLION)
     return view.text()
-
-
-def _scale(situation: Situation, width: int, height: int) -> float:
-    """Return the least of the scales at which both are in the picture, else the greatest one."""
-    car, adversary = situation.car, situation.adversary
-    along = abs(car.y - adversary.y) + 2.0 * _ROOM
-    aside = max(abs(car.x), abs(adversary.x)) + 0.5 * _ROOM
-    return next((one for one in _SCALES if along <= one * width and aside <= one * height), _SCALES[-1])
-
-
-def _middle(situation: Situation, width: int, half: float) -> tuple[float, float]:
-    """Return the place in the middle of the picture, m: between both, or, where that is too far, near the adversary."""
-    car, adversary = situation.car, situation.adversary
-    reach = 0.5 * half * width - _ROOM
-    return 0.0, min(max(0.5 * (car.y + adversary.y), adversary.y - reach), adversary.y + reach)
 
 
 def _draw(view: _TopView, body: Body, place: tuple[float, float], heading: float, colour: str) -> None:
@@ -218,13 +206,6 @@ def _draw(view: _TopView, body: Body, place: tuple[float, float], heading: float
         view.polygon(body.outline_at(np.array(place), heading), colour)
     else:
         view.points(np.array([place]), _PERSON, colour, over=True)
-
-
-def _box(place: tuple[float, float], heading: float, front: float, rear: float, half_width: float) -> FloatArray:
-    ahead = np.array([math.cos(heading), math.sin(heading)])
-    left = np.array([-ahead[1], ahead[0]])
-    corners = ((front, 1.0), (-rear, 1.0), (-rear, -1.0), (front, -1.0))
-    return np.array([place + along * ahead + side * half_width * left for along, side in corners])
 
 
 def _between(way: FloatArray, step: float) -> FloatArray:

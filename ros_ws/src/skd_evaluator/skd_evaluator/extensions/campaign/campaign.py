@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,18 +37,8 @@ from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import fresh_process
 from skd_evaluator.assessment.stages.pipeline import run_stages
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.extensions.campaign.cells import (
-    CHECKED,
-    DONE,
-    FAILED,
-    FIGURES,
-    FIRST,
-    OF_PLANS,
-    Cell,
-    Row,
-    done_row,
-    open_row,
-)
+from skd_evaluator.extensions.campaign import cells as of_cells
+from skd_evaluator.extensions.campaign.cells import DONE, FAILED, FIRST, Cell, Row
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask
 from skd_evaluator.provenance import date_now, provenance, sums_of
 from skd_evaluator.report.presentation import fill
@@ -217,7 +207,7 @@ class CampaignFolder:
             temporary.chmod(0o777 & ~umask())
             fill(temporary)
             write_manifests(temporary)
-            digests = {one: sha256_of(temporary / one) for one in CHECKED}
+            digests = {one: sha256_of(temporary / one) for one in of_cells.CHECKED}
             _to_disk(temporary)
             self._remove_cell(target)
             temporary.rename(target)
@@ -305,7 +295,7 @@ class Campaign:
         self._stop = threading.Event()
         done = folder.done_rows()
         self._cells = cells
-        self.rows: list[Row] = [done.get(cell.name) or open_row(cell) for cell in cells]
+        self.rows: list[Row] = [done.get(cell.name) or of_cells.open_row(cell) for cell in cells]
         todo = [cell for cell in cells if cell.name not in done]
         self.in_process = [cell for cell in todo if cell.graph is None]
         self.through_graph = [cell for cell in todo if cell.graph is not None]
@@ -331,11 +321,17 @@ class Campaign:
             "cells": self.rows,
             "done": sum(row["state"] == DONE for row in self.rows),
             "failed": sum(row["state"] == FAILED for row in self.rows),
-            "planned_refusal": _planned_refusal(self.rows, self._cells),
+            "planned_refusal": self._planned_refusal(),
             "episodes_run": sum(one.given - one.read for one in self._runs.values()),
             "episodes_read": sum(one.read for one in self._runs.values()),
             "seconds": round(time.perf_counter() - self._begin, 3),
         }
+
+    def _planned_refusal(self) -> str:
+        """Return why planned figures of the cells cannot be compared, in one line; empty if they can."""
+        rows = zip(self.rows, self._cells, strict=True)
+        unlike = unlike_rows({**row, "options": further_options(cell.plan)} for row, cell in rows)
+        return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
 
     def close(self) -> None:
         """Close the store; delete it where all cells are done."""
@@ -363,7 +359,7 @@ class Campaign:
         """
         tell = _overall(self.in_process, progress)
         pool = concurrent.futures.ThreadPoolExecutor(threads)
-        running = [pool.submit(self._try, cell, partial(self._assess, cell, runner, tell)) for cell in self.in_process]
+        running = [pool.submit(self._try, cell, tell(cell), runner) for cell in self.in_process]
         try:
             for future in concurrent.futures.as_completed(running):
                 with suppress(episode_store.StoppedError):  # of a cell beside the one that has failed
@@ -382,16 +378,16 @@ class Campaign:
         """Run the cells of the node graph, one after the other."""
         tell = _overall(self.through_graph, progress)
         for cell in self.through_graph:
-            self._try(cell, partial(self._assess_graph, cell, tell))
+            self._try(cell, tell(cell))
         with self._lock:
             self._save()
 
-    def _try(self, cell: Cell, work: Callable[[], None]) -> None:
-        """Do the work of a cell; take note of a failure that is the cell's own."""
+    def _try(self, cell: Cell, progress: Progress, runner: Workers | None = None) -> None:
+        """Run a cell, by a runner or through its graph; take note of a failure that is the cell's own."""
         if self._stop.is_set():
             raise episode_store.StoppedError
         try:
-            work()
+            self._assess(cell, progress, runner)
         except (episode_store.StoreError, OutOfReachError):
             self._stop.set()  # before this thread takes another cell
             raise
@@ -402,33 +398,27 @@ class Campaign:
                 self._row_of(cell).update(state=FAILED, problems=[str(error)])
                 self._save(at_once=False)
 
-    def _assess(self, cell: Cell, runner: Workers, tell: Callable[[Cell], Progress]) -> None:
-        begin, how = time.perf_counter(), {"progress": tell(cell), "say": partial(_say, cell), **cell.requested}
-        fresh = partial(fresh_process, cell.answer_limit)
-        context = Context(self._storing(cell, runner), runner, fresh=fresh, **how)
-        assessment = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
-        self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), None)
-
-    def _assess_graph(self, cell: Cell, tell: Callable[[Cell], Progress]) -> None:
-        assert cell.graph is not None
-        begin = time.perf_counter()
-        with self._folder.logs(cell.name) as logs:
-            plan, how = cell.plan, {"progress": tell(cell), "say": partial(_say, cell), **cell.requested}
-            setting = GraphSetting(options=cell.graph, car=plan.car, log_folder=logs, simulator=plan.simulator)
-            begun = Assessment(plan, provenance=self._provenance(cell))
-            try:
-                assessment = assess_through_graph(begun, setting, how, partial(self._storing, cell))
-            except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
-                raise AssessmentError(f"its graph cannot run: {error}") from error
+    def _assess(self, cell: Cell, progress: Progress, runner: Workers | None) -> None:
+        begin, how = time.perf_counter(), {"progress": progress, "say": partial(_say, cell), **cell.requested}
+        origin = {**self._origins[cell.plan.controller, _command_of(cell)], "date": date_now()}
+        assessment = Assessment(cell.plan, provenance=origin)
+        with nullcontext() if cell.graph is None else self._folder.logs(cell.name) as logs:
+            if runner is not None:
+                fresh = partial(fresh_process, cell.answer_limit)
+                assessment = run_stages(Context(self._storing(cell, runner), runner, fresh=fresh, **how), assessment)
+            elif cell.graph is not None and logs is not None:
+                car, simulator = cell.plan.car, cell.plan.simulator
+                setting = GraphSetting(options=cell.graph, car=car, log_folder=logs, simulator=simulator)
+                try:
+                    assessment = assess_through_graph(assessment, setting, how, partial(self._storing, cell))
+                except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
+                    raise AssessmentError(f"its graph cannot run: {error}") from error
             self._finish(cell, replace(assessment, seconds=time.perf_counter() - begin), logs)
 
     def _storing(self, cell: Cell, runner: Runner) -> episode_store.StoringRunner:
         assert self._store is not None
         self._runs[cell.name] = episode_store.StoringRunner(runner, self._store, cell.key, self._stop)
         return self._runs[cell.name]
-
-    def _provenance(self, cell: Cell) -> dict[str, Any]:
-        return {**self._origins[cell.plan.controller, _command_of(cell)], "date": date_now()}
 
     def _finish(self, cell: Cell, assessment: Assessment, logs: Path | None) -> None:
         """Write the folder of a cell, take note of it, and forget its stored episodes: in this order."""
@@ -442,7 +432,7 @@ class Campaign:
             if self._stop.is_set():
                 raise episode_store.StoppedError
             digests = self._folder.write_cell(cell.name, write)
-            row = done_row(cell, assessment, maximum_aborted=self._maximum_aborted, digests=digests)
+            row = of_cells.done_row(cell, assessment, maximum_aborted=self._maximum_aborted, digests=digests)
             self._row_of(cell).update(row)
             self._unsaved.append(cell)
             self._save(at_once=False)
@@ -460,7 +450,7 @@ class Campaign:
         if not at_once and now - self._saved < _SELDOM * self._cost:
             return
         swept = dict.fromkeys(f"sweep.{key}" for cell in self._cells for key in cell.swept if key not in FIRST)
-        self._folder.write_rows(self.content, (*FIRST, *swept, "episodes", *OF_PLANS, *FIGURES))
+        self._folder.write_rows(self.content, (*FIRST, *swept, "episodes", *of_cells.OF_PLANS, *of_cells.FIGURES))
         self._saved = time.monotonic()
         self._cost = self._saved - now
         while self._unsaved and self._store is not None:
@@ -484,9 +474,3 @@ def _overall(cells: Sequence[Cell], progress: Progress) -> Callable[[Cell], Prog
         return tell
 
     return of
-
-
-def _planned_refusal(rows: Sequence[Row], cells: Sequence[Cell]) -> str:
-    """Return why planned figures of the cells cannot be compared, in one line; empty if they can."""
-    unlike = unlike_rows({**row, "options": further_options(cell.plan)} for row, cell in zip(rows, cells, strict=True))
-    return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""

@@ -32,15 +32,8 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import option, options_of, read_options
 from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS, is_named
 
-from skd_evaluator.assessment.options import (
-    NO_BEHAVIOUR,
-    OWN,
-    SYNTHETIC,
-    WALKERS,
-    AssessmentOptions,
-    CampaignOptions,
-    GraphOptions,
-)
+from skd_evaluator.assessment import options as tables
+from skd_evaluator.assessment.options import NO_BEHAVIOUR, OWN, SYNTHETIC, WALKERS
 
 MOST_CELLS = 10_000
 _SCENARIO = "scenario"
@@ -54,7 +47,7 @@ class _CellOptions:
     scenario: str | None = option(None, "name or file of the scenario", str)
 
 
-_TABLES = (CampaignOptions, GraphOptions, AssessmentOptions, _CellOptions)
+_TABLES = (tables.CampaignOptions, tables.GraphOptions, tables.AssessmentOptions, _CellOptions)
 _OPTIONS = {one.name: one for table in _TABLES for one in options_of(table)}
 _OF_FILES = ("safe", "car_model", "message_folder", "behaviour")
 _NAMED = ("", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)

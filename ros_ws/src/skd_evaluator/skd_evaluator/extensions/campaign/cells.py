@@ -152,16 +152,13 @@ def _identity(
     del options["name"]  # no figure depends on it
     options["objective"] = ",".join(objectives)
     options["car_model"] = hashlib.sha256(plan.car_model.encode()).hexdigest() if plan.car_model else ""
-    further = ("graph", "margin_limit", "curve")
-    graph: dict[str, Any] = {}
+    further = ["graph", "margin_limit", "curve"]
     if values["graph"]:  # else these are of no effect
-        graph = {
-            option.name: values[option.name] for option in options_of(GraphOptions) if option.name not in OF_NO_RESULT
-        }
+        further += [option.name for option in options_of(GraphOptions) if option.name not in OF_NO_RESULT]
+    given = {name: values[name] for name in further}
     return {
         **options,
-        **{name: values[name] for name in further},
-        **{name: list(value) if isinstance(value, tuple) else value for name, value in graph.items()},
+        **{name: list(value) if isinstance(value, tuple) else value for name, value in given.items()},
         "behaviour": None if risk.behaviour is None else risk.behaviour.as_dict(),
         "risk": [risk.runs, risk.subset],
         "scenario": plan.scenario.as_dict(),

@@ -84,27 +84,23 @@ def run_combinations(
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
         try:
             if folder.resumed:
-                _say_resumed(campaign, cells, quiet=arguments.quiet)
+                say("campaign", *([] if arguments.quiet else [_state(campaign)]))
+                unknown = dict.fromkeys(cell.plan.car.label for cell in cells if cell.identity["file"] is None)
+                why = "are not known: nothing says whether it is the same car"
+                warn("campaign", [f"the files of {one} {why}" for one in unknown])
             _run_cells(campaign, arguments)
         except KeyboardInterrupt:
-            _say_interrupted(campaign, arguments, out)
+            if arguments.json:
+                print_json({"interrupted": True, **campaign.content})
+            say(arguments.command, f"interrupted; {_state(campaign)}; go on with: {_go_on(arguments, out)}")
             return None
         except OutOfReachError as error:
-            state = f"{_state(campaign)}; go on with: {_go_on(arguments, out)}"
-            raise OutOfReachError(f"{error}; {state}") from error
+            raise OutOfReachError(f"{error}; {_state(campaign)}; go on with: {_go_on(arguments, out)}") from error
         finally:
             campaign.close()
         return campaign.content, out
     finally:
         folder.close()
-
-
-def _say_resumed(campaign: Campaign, cells: Sequence[Cell], *, quiet: bool) -> None:
-    """Say how far a campaign is, and of which cars it is not known whether they are still the same."""
-    if not quiet:
-        say("campaign", _state(campaign))
-    unknown = dict.fromkeys(cell.plan.car.label for cell in cells if cell.identity["file"] is None)
-    warn("campaign", [f"the files of {one} are not known: nothing says whether it is the same car" for one in unknown])
 
 
 def _prepare_graphs(cells: Sequence[Cell]) -> None:
@@ -122,41 +118,35 @@ def _prepare_graphs(cells: Sequence[Cell]) -> None:
 
 
 def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
+    from skd_evaluator.assessment.run.workers import available_workers
     from skd_evaluator.assessment.stages.margin import margins_compiled_in_background
     from skd_evaluator.assessment.stages.pipeline import compile_for_graph
     from skd_evaluator.assessment.stages.risk import warm_up_risk
     from skd_evaluator.report.progress import progress_bar
 
     if in_process := campaign.in_process:
-        runner = runner_of(
-            arguments,
-            isolated=any(cell.plan.runs_others_code for cell in in_process),
-            answer_limit=max(cell.answer_limit for cell in in_process),
+        isolated, margins = (
+            any(cell.plan.runs_others_code for cell in in_process),
+            any(cell.requested["margin_limit"] for cell in in_process),
         )
-        with runner:
-            with margins_compiled_in_background(
-                needed=any(cell.requested["margin_limit"] for cell in in_process)
-            ) as load_margins:
+        limit = max(cell.answer_limit for cell in in_process)
+        with runner_of(arguments, isolated=isolated, answer_limit=limit) as runner:
+            with margins_compiled_in_background(needed=margins) as load_margins:
                 for cell in in_process:
                     if cell.requested["risk"].behaviour is not None:
                         warm_up_risk(cell.plan)
                 runner.start(_planners(in_process), inherited=load_margins)
             import skd_evaluator.report.pictures  # noqa: F401 - it may start a program: see `Campaign`
 
+            # While one cell has few episodes left, another has many.
+            threads = _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, arguments.workers or available_workers())
             with progress_bar(quiet=arguments.quiet) as progress:
-                campaign.run(runner, progress, _threads(arguments))
+                campaign.run(runner, progress, threads)
     if through_graph := campaign.through_graph:
         for cell in through_graph:
             compile_for_graph(cell.plan, cell.requested["objectives"])
         with progress_bar(quiet=arguments.quiet) as progress:
             campaign.run_graphs(progress)
-
-
-def _threads(arguments: argparse.Namespace) -> int:
-    """Return how many cells run at a time: while one has few episodes left, another has many."""
-    from skd_evaluator.assessment.run.workers import available_workers
-
-    return _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, arguments.workers or available_workers())
 
 
 def _planners(cells: Sequence[Cell]) -> list[EpisodeSpec]:
@@ -179,12 +169,6 @@ def _state(campaign: Campaign) -> str:
     return f"{done}, and {counted(campaign.kept_episodes, 'episode')} of the others kept"
 
 
-def _say_interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> None:
-    if arguments.json:
-        print_json({"interrupted": True, **campaign.content})
-    say(arguments.command, f"interrupted; {_state(campaign)}; go on with: {_go_on(arguments, out)}")
-
-
 def _go_on(arguments: argparse.Namespace, out: Path) -> str:
     """Return the command that goes on with a campaign."""
     from skd_evaluator.report.repeat import program
@@ -196,15 +180,18 @@ def _go_on(arguments: argparse.Namespace, out: Path) -> str:
 
 
 def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
+    from rich.markup import escape
+
     from skd_evaluator.extensions.campaign.cells import planned_rows
     from skd_evaluator.report.formats import counted
-    from skd_evaluator.report.terminal import print_table
+    from skd_evaluator.report.terminal import narrow_table, print_table
 
-    rows = planned_rows(cells)
+    rows, keys = planned_rows(cells), ("name", "scenario", "safe", "episodes", "most")
     total, most = (sum(row[key] for row in rows) for key in ("episodes", "most"))
 
     def show() -> None:
-        print_table(plan_table(rows))
+        shown = [[escape(str(row[key])) for key in keys] for row in rows]
+        print_table(narrow_table("Cells", ("cell", "scenario", "safe", "episodes", "at most"), shown))
         print(f"{counted(len(rows), 'cell')}, {total} episodes; at most {most} where kamikazes fail")
 
     return finish(arguments, {"cells": rows, "episodes": total, "most": most}, show)
@@ -233,17 +220,6 @@ def _say_result(content: Mapping[str, Any], out: Path, arguments: argparse.Names
         done = [str(row["name"]) for row in rows if row["state"] == DONE]
         failures += limit_failures(limits, {name: read_figures(out / name) for name in done})
     return finish(arguments, content, show, [*refusal, *equal_remarks(rows, "name"), *warnings], failures)
-
-
-def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of the cells of a campaign before they run."""
-    from rich.markup import escape
-
-    from skd_evaluator.report.terminal import narrow_table
-
-    keys = ("name", "scenario", "safe", "episodes", "most")
-    cells = [[escape(str(row[key])) for key in keys] for row in rows]
-    return narrow_table("Cells", ("cell", "scenario", "safe", "episodes", "at most"), cells)
 
 
 def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
