@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -57,9 +58,8 @@ def draw_road(axes: Axes, scenario: Scenario, low: float, high: float, elapsed: 
         axes.add_patch(Polygon(arrow, fc=palette.ROAD_EDGE, ec="none", alpha=0.5, zorder=1))
     for index, obstacle in enumerate(scenario.obstacles):
         label = None if index else "parked"
-        axes.add_patch(
-            Polygon(obstacle.corners, fc=palette.OBSTACLE, ec=palette.CAR, lw=0.8, hatch="///", zorder=1, label=label)
-        )
+        parked: dict[str, Any] = {"fc": palette.OBSTACLE, "ec": palette.CAR, "lw": 0.8, "hatch": "///"}
+        axes.add_patch(Polygon(obstacle.corners, zorder=1, label=label, **parked))
     for index, (other, state) in enumerate(zip(scenario.others, scenario.others_after(elapsed), strict=True)):
         label = None if index else "others"
         outline = other.outline_at(np.array(state[:2]), state.heading)
@@ -161,14 +161,11 @@ def save_scenario(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) ->
     axes = figure.subplots()
     draw_road(axes, scenario, -_SCENARIO_LANE, _SCENARIO_LANE)
     draw_car(axes, scenario, poses[0], "car under test at the start")
-    told = (
-        "car under test when it reaches the target's way, unbraked" if ways else "car under test at the crossing line"
-    )
-    draw_before(axes, scenario, np.array(poses[1:2]), told, whole=True)
+    there = "when it reaches the target's way, unbraked" if ways else "at the crossing line"
+    draw_before(axes, scenario, np.array(poses[1:2]), f"car under test {there}", whole=True)
     _draw_ways(axes, scenario, ways)
-    axes.add_patch(
-        Polygon(body, fc=palette.KAMIKAZE, ec="black", zorder=7, label=f"adversary ({adversary.kind}) at the start")
-    )
+    label = f"adversary ({adversary.kind}) at the start"
+    axes.add_patch(Polygon(body, fc=palette.KAMIKAZE, ec="black", zorder=7, label=label))
     set_extent(axes, box)
     axes.set_xlabel("x, East (m)")
     axes.set_ylabel("y, North (m)")
@@ -319,16 +316,8 @@ class EpisodePicture:
         draw_before(axes, scenario, shown.car[:-1, :3], "front of the car at each tick, with its time")
         self._label_fronts(axes, box)
         axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
-        axes.plot(
-            *shown.adversary.T,
-            color=palette.KAMIKAZE,
-            lw=2.0,
-            marker="o",
-            mfc="none",
-            ms=5,
-            zorder=5,
-            label="ψ: the adversary",
-        )
+        circles: dict[str, Any] = {"marker": "o", "mfc": "none", "ms": 5, "zorder": 5}
+        axes.plot(*shown.adversary.T, color=palette.KAMIKAZE, lw=2.0, label="ψ: the adversary", **circles)
         labelled: list[FloatArray] = []
         for time, place in zip(shown.times.tolist(), shown.adversary, strict=True):
             if all(np.linalg.norm(place - other) >= _APART for other in labelled):
@@ -349,9 +338,8 @@ class EpisodePicture:
         outline = scenario.adversary.outline(shown.adversary)
         self._user = Polygon(outline, fc=palette.KAMIKAZE, ec="black", zorder=7)
         axes.add_patch(self._user)
-        (self._there,) = axes.plot(
-            [], [], "o", mfc="none", mec=palette.SAFE, mew=2, ms=10, zorder=6, label="φ at that time"
-        )
+        ring: dict[str, Any] = {"mfc": "none", "mec": palette.SAFE, "mew": 2, "ms": 10, "zorder": 6}
+        (self._there,) = axes.plot([], [], "o", label="φ at that time", **ring)
         set_extent(axes, box)
         axes.set_xlabel("x, East (m)", fontsize=9)
         axes.set_ylabel("y, North (m)", fontsize=9)

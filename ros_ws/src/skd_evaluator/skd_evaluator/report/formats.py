@@ -200,19 +200,12 @@ def kept_failures(figures: Mapping[str, Any]) -> list[KeptFailure]:
     found = failures_in(figures)
     if found is None:
         return []
-    phis = len(figures["per_safe_trajectory"])
-    return [
-        KeptFailure(
-            str(group["kind"]),
-            one["trial"] * phis + one["safe_trajectory"],
-            rank,
-            one["deviation"],
-            one["people"],
-            found["scale"],
-        )
-        for group in found["kinds"]
-        for rank, one in enumerate(group["nearest"])
-    ]
+    phis, kept = len(figures["per_safe_trajectory"]), []
+    for group in found["kinds"]:
+        for rank, one in enumerate(group["nearest"]):
+            row, scale = one["trial"] * phis + one["safe_trajectory"], found["scale"]
+            kept.append(KeptFailure(str(group["kind"]), row, rank, one["deviation"], one["people"], scale))
+    return kept
 
 
 def failures_in(figures: Mapping[str, Any]) -> Mapping[str, Any] | None:

@@ -29,8 +29,6 @@ from skd_evaluator.report.terminal import bounded_cell, narrow_table
 SHORT = 7  # digits of a commit
 _LARGE = ("vulnerability_curve", "objectives", "risk", "surrogate_measures", "clustering", "measures")
 """Entries that no row is of, and nine tenths of a file: of thousands of results they are not kept."""
-
-
 _ROW = (
     "margin", "margin_ci95", "nominal_collision_rate", "nominal_collision_rate_ci95", "deviation", "skd", "risk_1",
     "time_lost", "time_lost_ci95", "seed", "safe",
@@ -85,10 +83,7 @@ class Run:
     def as_dict(self) -> dict[str, Any]:
         """Return the row of `skd list --json`."""
         return {
-            "folder": str(self.folder),
-            "car": self.car,
-            "scenario": self.scenario,
-            "date": self.date,
+            **{"folder": str(self.folder), "car": self.car, "scenario": self.scenario, "date": self.date},
             "revision": self.revision,
             "safe_count": len(self.figures["per_safe_trajectory"]),
             "trials": self.figures.get("margin_trials"),
@@ -158,7 +153,10 @@ def trends_of(results: Sequence[StoredResult], figure: str) -> tuple[list[dict[s
 
 
 def _trend_row(run: Run, figure: str, compared: Comparison | None) -> dict[str, Any]:
-    change = None if compared is None else compared.differences.get(figure)
+    change, verdict = None, ""
+    if compared is not None:
+        change = compared.differences.get(figure)
+        verdict = compared.verdict if figure in compared.differences else NOT_COMPARED
     return {
         "folder": str(run.folder),
         "date": run.date,
@@ -166,7 +164,7 @@ def _trend_row(run: Run, figure: str, compared: Comparison | None) -> dict[str, 
         "value": run.figures.get(figure),
         "ci95": run.figures.get(f"{figure}_ci95"),
         "margin_converged": run.figures.get("margin_converged"),
-        "verdict": "" if compared is None else compared.verdict if figure in compared.differences else NOT_COMPARED,
+        "verdict": verdict,
         "credible": not run.not_credible,
         "difference": None if change is None else change.value,
         "difference_interval": None if change is None else change.interval,
@@ -225,25 +223,15 @@ def trend_table(trend: Mapping[str, Any]) -> Table:
     by = ",\nby φ" if figure.by_phi else ""
     heads = ["date\n(UTC)", "code of\nthe car", figure.heading.replace(" (", "\n("), f"95 %{by}"]
     heads += ["against the\none before", "difference", f"{100.0 * trend['confidence']:.3g} %{by}", "folder"]
-    scale = figure.kind.scale
-
-    def scaled(interval: Sequence[float] | None) -> list[float] | None:
-        return None if interval is None else [scale * end for end in interval]
-
-    rows = [
-        [
-            _minute(row["date"]),
-            row["revision"] or _UNKNOWN,
-            bounded_cell(
-                row if figure.key == "margin" else {}, _number(None if row["value"] is None else scale * row["value"])
-            ),
-            _number(scaled(row["ci95"]), 2),
-            f"[bold]{row['verdict']}[/]{'' if row['credible'] else '[red] not credible[/]'}",
-            "" if row["difference"] is None else f"{scale * row['difference']:+.3f}",
-            "" if row["difference"] is None else _number(scaled(row["difference_interval"])),
-            escape(os.path.relpath(row["folder"], parent)),
-        ]
-        for row in trend["runs"]
-    ]
+    scale, rows = figure.kind.scale, []
+    for row in trend["runs"]:
+        value, change = row["value"], row["difference"]
+        interval, around = (one and [scale * end for end in one] for one in (row["ci95"], row["difference_interval"]))
+        said = _number(None if value is None else scale * value)
+        cells = [_minute(row["date"]), row["revision"] or _UNKNOWN]
+        cells += [bounded_cell(row if figure.key == "margin" else {}, said), _number(interval, 2)]
+        cells.append(f"[bold]{row['verdict']}[/]{'' if row['credible'] else '[red] not credible[/]'}")
+        cells += ["", ""] if change is None else [f"{scale * change:+.3f}", _number(around)]
+        rows.append([*cells, escape(os.path.relpath(row["folder"], parent))])
     title = f"{escape(trend['car'])} in {escape(trend['scenario'])}: {figure.label}; in {escape(str(parent))}"
     return narrow_table(title, heads, rows)

@@ -85,9 +85,8 @@ def save_trajectories(path: Path, assessment: Assessment, result: ObjectiveResul
     entries: dict[str, Any] = {}
     for panel in panels[: len(groups)]:  # the first may have no kamikaze trajectory
         entries = {**dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True)), **entries}
-    figure.legend(
-        list(entries.values()), list(entries), loc="outside lower center", ncols=2, frameon=False, fontsize=drawing.TYPE
-    )
+    below: dict[str, Any] = {"ncols": 2, "frameon": False, "fontsize": drawing.TYPE}
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", **below)
     colour = palette.ALERT if assessment.reasons else "black"
     figure.suptitle(_heading(assessment, result), fontsize=9, parse_math=False, color=colour)
     drawing.save_picture(figure, path)
@@ -97,13 +96,9 @@ def _figures(
     assessment: Assessment, result: ObjectiveResult, deviation: float | None, skd: float | None, margin: float | None
 ) -> str:
     """Return those of three means (m) that are the car's own in this picture; others are of no use beside these."""
-    single = len(assessment.results) == 1
-    ranks, of_skd = result is assessment.for_deviation, result is assessment.for_skd
-    known = (
-        ("margin", margin, ranks),
-        ("planned deviation", deviation, single or not of_skd),
-        ("SKD", skd, single or not ranks),
-    )
+    single, ranks = len(assessment.results) == 1, result is assessment.for_deviation
+    plans_skd = single or result is not assessment.for_skd
+    known = ("margin", margin, ranks), ("planned deviation", deviation, plans_skd), ("SKD", skd, single or not ranks)
     return ", ".join(f"{name} {value:.2f} m" for name, value, own in known if own and value is not None)
 
 
@@ -181,9 +176,8 @@ def _draw_kamikazes(axes: Axes, result: ObjectiveResult, logs: Sequence[EpisodeL
         _draw_walks(axes, walks, colour, label, "x", alpha=0.45, lw=0.8, zorder=3)
     outlines = [result.plan.scenario.adversary.outline(log.trajectory.positions) for log in logs]
     label = "outline of the adversary at the hit"
-    axes.add_collection(
-        PolyCollection(outlines, fc="none", ec=palette.KAMIKAZE, lw=0.6, alpha=0.45, zorder=4, label=label)
-    )
+    style: dict[str, Any] = {"fc": "none", "ec": palette.KAMIKAZE, "lw": 0.6, "alpha": 0.45, "zorder": 4}
+    axes.add_collection(PolyCollection(outlines, label=label, **style))
 
 
 def _draw_walks(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -121,20 +122,13 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     heads = ["φ, C", "margin\n(m)", "95 %,\nby φ", "planned\n(m)", "95 %,\nby φ", "coll.\nrate (%)", "SKD (m)\n± 95 %"]
     heads.append("collide\n(%)")
     table = narrow_table("Margin, planned deviation, contact rate and SKD against the multiplier C", heads)
-    previous = None
-    for row in rows:
-        if row["kind"] != previous:
-            table.add_section()
-            table.add_row(f"[bold]{row['kind']}[/]")
-        previous = row["kind"]
-        table.add_row(
-            f"  {row['multiplier']:.3f}",
-            f"[bold]{_number(row['margin'], 3)}[/]",
-            _number(row["margin_ci95"], 2),
-            _number(row["deviation"], 3),
-            _number(row["deviation_ci95"], 2),
-            BARE.share(row["contact_rate"]),
-            _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
-            BARE.share(row["kamikaze_success_rate"]),
-        )
+    for kind, some in itertools.groupby(rows, key=lambda row: str(row["kind"])):
+        table.add_section()
+        table.add_row(f"[bold]{kind}[/]")
+        for row in some:
+            margin = f"[bold]{_number(row['margin'], 3)}[/]", _number(row["margin_ci95"], 2)
+            deviation = _number(row["deviation"], 3), _number(row["deviation_ci95"], 2)
+            contact, collide = (BARE.share(row[key]) for key in ("contact_rate", "kamikaze_success_rate"))
+            skd = _plus_minus(row["skd"], row["skd_ci95_pairs"], 2)
+            table.add_row(f"  {row['multiplier']:.3f}", *margin, *deviation, contact, skd, collide)
     return table

@@ -58,10 +58,8 @@ def warnings_of(subject: Subject) -> list[str]:
         first = f", the first one so: {reasons['first']}" if reasons.get("first") else ""
         found.append(f"{formats.counted(reasons['count'], 'episode')} aborted ({kind}){first}; they count in no figure")
     found += [f"measure {one['label']} failed: {one['error']}" for one in figures["measures"].values() if one["error"]]
-    if figures["discarded_by_distance"]:
-        found.append(
-            f"{formats.counted(figures['discarded_by_distance'], 'pair')} discarded, above the maximum distance"
-        )
+    if far := figures["discarded_by_distance"]:
+        found.append(f"{formats.counted(far, 'pair')} discarded, above the maximum distance")
     found += [*(f"left out: {line}" for line in figures["left_out"]), *aborted_lines(figures), *figures["warnings"]]
     return list(dict.fromkeys(map(str, found)))
 
@@ -137,24 +135,23 @@ def _overlap(one: Sequence[float] | None, other: Sequence[float] | None) -> bool
     return one is None or other is None or (one[0] <= other[1] and other[0] <= one[1])
 
 
-def per_safe_rows(subject: Subject) -> list[dict[str, str | bool]]:
+def per_safe_rows(subject: Subject) -> list[dict[str, Any]]:
     """Return a row for each φ."""
-    rows = zip(
-        subject.figures["per_safe_trajectory"], subject.ranking["per_safe_trajectory"], subject.margins, strict=True
-    )
-    return [
-        {
-            "name": str(row["name"]),
-            "safe": bool(row["safe"]),
-            "margin": formats.number(mean(margins) if margins.size else None),
-            "contact_rate": f"{formats.percent(row['contact_rate'])} of {row['collision_runs']}",
-            "deviation": formats.number(row["deviation"]),
-            "trials": f"{mine['failed']} of {mine['trials'] - mine['aborted']}"
-            + (f", {mine['aborted']} aborted" if mine["aborted"] else ""),
-            "skd": formats.number(row["skd"]),
-        }
-        for row, mine, margins in rows
-    ]
+    every, planned = (of["per_safe_trajectory"] for of in (subject.figures, subject.ranking))
+    found = []
+    for row, mine, margins in zip(every, planned, subject.margins, strict=True):
+        aborted = f", {mine['aborted']} aborted" if mine["aborted"] else ""
+        values = {"margin": mean(margins) if margins.size else None, "deviation": row["deviation"], "skd": row["skd"]}
+        found.append(
+            {
+                "name": str(row["name"]),
+                "safe": bool(row["safe"]),
+                "contact_rate": f"{formats.percent(row['contact_rate'])} of {row['collision_runs']}",
+                "trials": f"{mine['failed']} of {mine['trials'] - mine['aborted']}{aborted}",
+                **{key: formats.number(value) for key, value in values.items()},
+            }
+        )
+    return found
 
 
 def surrogate_cells(figures: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
@@ -199,6 +196,7 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
     """Return how an assessment was made, as names and values."""
     figures = subject.figures
     car = CarUnderTest(str(figures["controller"]))
+    further = ", ".join(f"{key} = {value}" for key, value in figures["options"].items())
     rows = [
         ("folder", str(subject.folder)),
         ("version of SKD", str(figures["version"])),
@@ -210,10 +208,7 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
         ("planner's budget", f"{figures['simulations']:,} simulations per decision"),
         ("objectives", ", ".join(figures["objectives"])),
         ("maximum distance", formats.number(figures["maximum_distance"], 2, "m")),
-        (
-            "further options",
-            ", ".join(f"{key} = {value}" for key, value in figures["options"].items()) or formats.NOTHING,
-        ),
+        ("further options", further or formats.NOTHING),
         ("adversary model", str(figures["adversary_model"])),
         ("model of the car", "fitted: see the file below" if figures["car_model"] else "none, or the known C"),
     ]

@@ -132,9 +132,8 @@ def read_one(folders: Sequence[Path]) -> Subject:
     """
     subject, *others = read_subjects(folders)
     if others:
-        raise UsageError(
-            f"{folders[0]}: holds {1 + len(others)} assessments; give the folder of one, as {subject.folder}"
-        )
+        count = f"{1 + len(others)} assessments"
+        raise UsageError(f"{folders[0]}: holds {count}; give the folder of one, as {subject.folder}")
     return subject
 
 
@@ -241,18 +240,13 @@ def margin_hits(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
     """Return per φ the margin trajectories, the least first, at most so many: points at ticks, m, and their figures."""
     found: list[list[dict[str, Any]]] = []
     for hits in subject.episodes.margin_hits or [()] * len(subject.episodes.safe):
-        known = [(hit.distance, trial, hit) for trial, hit in enumerate(hits) if hit is not None]
-        found.append(
-            [
-                {
-                    "points": _rounded(hit.trajectory.positions),
-                    "deviation": round(distance, 3),
-                    "impactSpeed": round(hit.impact_speed, 2),
-                    "trial": trial,
-                }
-                for distance, trial, hit in sorted(known, key=lambda one: one[:2])[:most]
-            ]
-        )
+        known = sorted(((hit, trial) for trial, hit in enumerate(hits) if hit), key=lambda one: one[0].distance)
+        figures = [
+            {"deviation": round(hit.distance, 3), "impactSpeed": round(hit.impact_speed, 2), "trial": trial}
+            for hit, trial in known[:most]
+        ]
+        points = [_rounded(hit.trajectory.positions) for hit, _ in known[:most]]
+        found.append([{"points": places, **one} for places, one in zip(points, figures, strict=True)])
     return found
 
 
