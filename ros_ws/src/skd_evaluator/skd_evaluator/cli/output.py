@@ -6,6 +6,7 @@ import argparse
 import io
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import IO, Any
 
@@ -64,8 +65,11 @@ def finish(
     show: Callable[[], None],
     warnings: Iterable[str] = (),
     failures: Sequence[str | None] = (),
+    *,
+    saved: tuple[str | None, str] = (None, ""),
+    since: float | None = None,
 ) -> int:
-    """Print a result, what is to be known of it, and why it failed; return the exit code.
+    """Print a result, where it is, what is to be known of it, and why it failed; return the exit code.
 
     Args:
         arguments: arguments of the command.
@@ -73,13 +77,19 @@ def finish(
         show: prints it for people.
         warnings: what to know of it, a line each.
         failures: why the command failed, a line each; None is no failure.
+        saved: why the result could not be written, and where it is if it was.
+        since: when the command began, by `time.perf_counter`; None: how long it took is not said.
     """
+    problem, where = saved
     if arguments.json:
         print_json(content)
     else:
         show()
+        took = "" if since is None else f"{time.perf_counter() - since:.1f} s"
+        if line := "; ".join(filter(None, (took, "" if problem else where))):
+            print(line)
     warn(arguments.command, warnings)
-    failed = [why for why in failures if why]
+    failed = [why for why in (*failures, problem) if why]
     say(arguments.command, *failed)
     return 1 if failed else 0
 

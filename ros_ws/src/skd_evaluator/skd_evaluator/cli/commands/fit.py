@@ -60,7 +60,6 @@ def _fit_car(arguments: argparse.Namespace) -> int:
     recordings = read_recordings(arguments.paths, damage)
     say_damage("fit", damage)
     car = learn_car(observe(recordings), version=version())
-    problem = out.save(lambda folder: write_car_model(folder / FILE_NAME, car))
     data = {**car_model_data(car), "forest": car.forest is not None}
 
     def show() -> None:
@@ -83,10 +82,9 @@ def _fit_car(arguments: argparse.Namespace) -> int:
                 f"Held-out ticks against their prediction: {held_out['ticks']} ticks,\n"
                 f"Kolmogorov-Smirnov distance {held_out['statistic']:.3f}, {chance}"
             )
-        seconds = f"{time.perf_counter() - begin:.1f} s"
-        print(seconds if problem else f"{seconds}; model in {out.path / FILE_NAME}")
 
-    return finish(arguments, data, show, fit.car_model_warnings(data), [problem])
+    saved = out.save(lambda folder: write_car_model(folder / FILE_NAME, car)), f"model in {out.path / FILE_NAME}"
+    return finish(arguments, data, show, fit.car_model_warnings(data), saved=saved, since=begin)
 
 
 def _fit_people(arguments: argparse.Namespace) -> int:
@@ -128,15 +126,13 @@ def _fit_people(arguments: argparse.Namespace) -> int:
         print(f"{fit.tracks} tracks of {recordings} recordings, {fit.steps} ticks")
         print_table(behaviour_table(behaviour))
         print_table(validation_table(validation.as_dict(), WITHIN))
-        seconds = f"{time.perf_counter() - begin:.1f} s"
-        print(seconds if problem else f"{seconds}; behaviour model in {out.path / FILE_NAME}, picture in {BEHAVIOUR}")
 
-    problem = out.save(write)
+    saved = out.save(write), f"behaviour model in {out.path / FILE_NAME}, picture in {BEHAVIOUR}"
     off = f"{100.0 * validation.worst:.0f} % off, more than {100.0 * WITHIN:.0f} %"
     why = "they walk otherwise than the others, or than the model can"
     warnings = [f"a quantile of people held out is {off}: {why}"] if validation.worst > WITHIN else []
     content = {**behaviour.as_dict(), "validation": validation.as_dict()}
-    return finish(arguments, content, show, warnings, [problem])
+    return finish(arguments, content, show, warnings, saved=saved, since=begin)
 
 
 def _check_enough(tracks: Sequence[Tracked]) -> None:

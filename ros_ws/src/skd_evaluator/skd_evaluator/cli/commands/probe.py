@@ -102,12 +102,12 @@ def run(arguments: argparse.Namespace) -> int:
     def show() -> None:
         ends = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
         print(f"episodes: {len(logs)} ({ends}), ticks: {summary['ticks']}")
-        seconds = f"{time.perf_counter() - begin:.1f} s"
-        print(seconds if problem else f"{seconds}; logs in {out.path}; next: skd fit {out.path}")
 
-    failures = [*not_credible(warnings), problem]
+    failures = not_credible(warnings)
+    other = [one for one in warnings if one not in failures]
     every = f"all episodes were aborted: {aborted[0]}" if len(aborted) == len(logs) else None
-    code = finish(arguments, summary, show, [one for one in warnings if one not in failures], [*failures, every])
+    saved = problem, f"logs in {out.path}; next: skd fit {out.path}"
+    code = finish(arguments, summary, show, other, [*failures, every], saved=saved, since=begin)
     say_aborted("probe", aborted, len(logs), out)
     return code
 

@@ -136,12 +136,11 @@ def run(arguments: argparse.Namespace) -> int:
         kind: {value: _spearman([row for row in rows if row["kind"] == kind], value) for value in _SPEARMAN}
         for kind in kinds
     }
-    seconds = time.perf_counter() - begin
     summary = {
         "rows": rows,
         "spearman_with_multiplier": spearman,
         "seed": arguments.seed,
-        "seconds": round(seconds, 3),
+        "seconds": round(time.perf_counter() - begin, 3),
         "provenance": origin,
     }
 
@@ -164,13 +163,11 @@ def run(arguments: argparse.Namespace) -> int:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
         if _RECORDED not in kinds:
             print("Recorded safe trajectories were not requested: add --safe PATH (docs/validation.md).")
-        taken = f"{seconds:.1f} s"
-        print(taken if problem else f"{taken}; results in {out.path}")
 
-    problem = out.save(write)
-    warnings, failures = [], [problem]
+    saved = out.save(write), f"results in {out.path}"
+    warnings, failures = list[str](), list[str | None]()
     for kind, one in assessments:
         name = f"{kind}, C = {one.plan.multiplier:g}"
         warnings += [f"{name}: {line}" for line in warnings_of(one, planned=False)]
         failures += [f"{name}: {why}" for why in why_failed(one, arguments.max_aborted)]
-    return finish(arguments, summary, show, warnings, failures)
+    return finish(arguments, summary, show, warnings, failures, saved=saved, since=begin)

@@ -106,9 +106,8 @@ def run(arguments: argparse.Namespace) -> int:
             kind.write(folder / name, one)
         write_json(folder / EXPORT, content)
 
-    problem = out.save(write)
-    said = [] if problem else [f"{what} as {arguments.format} in {out.path}; {EXPORT} says which file is which"]
-    return finish(arguments, content, lambda: print(*said, sep="\n", end="\n" * len(said)), warnings, [problem])
+    where = f"{what} as {arguments.format} in {out.path}; {EXPORT} says which file is which"
+    return finish(arguments, content, lambda: None, warnings, saved=(out.save(write), where))
 
 
 def selected_episodes(subject: Subject, episode: int | None, worst: int | None, objective: str | None) -> list[int]:

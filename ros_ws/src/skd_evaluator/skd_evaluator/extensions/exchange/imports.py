@@ -252,8 +252,6 @@ def run(arguments: argparse.Namespace) -> int:
             one.write(folder / SAFE / name)
         write_json(folder / IMPORT, content)
 
-    problem = out.save(write)
-
     def show() -> None:
         warn("import", damage.lines)
         for name, one in list(named.items())[:_SHOWN]:
@@ -261,11 +259,10 @@ def run(arguments: argparse.Namespace) -> int:
         warn("import", [f"{path}, {who}, left out: {why}" for path, who, why in left_out[:_SHOWN]])
         if max(len(found), len(left_out)) > _SHOWN:
             print(f"{len(found)} imported, {len(left_out)} left out; {IMPORT} has all of them")
-        if not problem:
-            behind = f" --scenario {arguments.scenario}" if arguments.scenario else ""
-            print(f"next: skd assess --safe {out.path / SAFE} --safe-count {len(found)}{behind}")
 
-    return finish(arguments, content, show, failures=[problem])
+    behind = f" --scenario {arguments.scenario}" if arguments.scenario else ""
+    following = f"next: skd assess --safe {out.path / SAFE} --safe-count {len(found)}{behind}"
+    return finish(arguments, content, show, saved=(out.save(write), following))
 
 
 def _list(arguments: argparse.Namespace, damage: Damage) -> int:

@@ -79,11 +79,9 @@ def rate_car(arguments: argparse.Namespace) -> int:
         print_table(narrow_table("The physical car; what stands is bold", heads, list(map(_row, figures))))
         for one in figures:
             print("\n  ".join([_sentence(one), *_gap_lines(one)]))
-        if not problem:
-            print(f"results in {out.path}")
 
-    notes = [f"{one.figure.text}: {note}" for one in figures for note in one.notes]
-    return finish(arguments, content, show, [*warnings, *notes], [problem])
+    warnings = [*warnings, *(f"{one.figure.text}: {note}" for one in figures for note in one.notes)]
+    return finish(arguments, content, show, warnings, saved=(problem, f"results in {out.path}"))
 
 
 def _row(one: FusedFigure) -> list[str]:
@@ -215,11 +213,9 @@ def calibrate(arguments: argparse.Namespace) -> int:
         heads = ("", "scenario", "estimate", "95 %\ninterval")
         print_table(narrow_table("The simulator by the physical trials", heads, rows))
         print(*found.sentences, sep="\n")
-        seconds = f"{time.perf_counter() - begin:.1f} s"
-        print(seconds if problem else f"{seconds}; the calibrated scenario is {out.path / calibration.SCENARIO}")
 
-    problem = out.save(write)
-    return finish(arguments, content, show, content["warnings"], [problem])
+    saved = out.save(write), f"the calibrated scenario is {out.path / calibration.SCENARIO}"
+    return finish(arguments, content, show, content["warnings"], saved=saved, since=begin)
 
 
 def _recorded(recorder: TrialRecorder, table: Path) -> list[calibration.Recorded]:
