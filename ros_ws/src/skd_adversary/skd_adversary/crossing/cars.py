@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -42,6 +42,7 @@ from skd_adversary.crossing.interfaces import (
     Pair,
     SensorModel,
     Triple,
+    kernels_in,
     on_road,
     template,
     velocity_on_road,
@@ -58,66 +59,56 @@ def _basic_start_car(parameters: Any, state: FloatArray, rng: np.random.Generato
     state[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
 
 
-@template
-def _basic_advance_car(
-    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
-) -> None:
-    """Interface `advance_car`."""
-    p = parameters
-    car_s, speed = state[CAR_S], state[CAR_SPEED]
-    _, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
-    acceleration = basic_acceleration(along - car_s - p.front, state[TRIGGER], p.deceleration)
-    speed_after = next_speed(speed, acceleration, draw_relative(p.speed_noise, rng), p.time_step)
-    next_state[CAR_S] = car_s + travelled(speed, speed_after, p.time_step)
-    next_state[CAR_SPEED] = speed_after
-    next_state[TRIGGER] = state[TRIGGER]
+class _Basic:
+    """The basic car."""
+
+    @template
+    def advance_car(
+        parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+    ) -> None:
+        """Interface `advance_car`."""
+        p = parameters
+        car_s, speed = state[CAR_S], state[CAR_SPEED]
+        _, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
+        acceleration = basic_acceleration(along - car_s - p.front, state[TRIGGER], p.deceleration)
+        speed_after = next_speed(speed, acceleration, draw_relative(p.speed_noise, rng), p.time_step)
+        next_state[CAR_S] = car_s + travelled(speed, speed_after, p.time_step)
+        next_state[CAR_SPEED] = speed_after
+        next_state[TRIGGER] = state[TRIGGER]
+
+    @template
+    def expected_motion(
+        parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
+    ) -> Triple:
+        """Interface `expected_motion`."""
+        _, along = on_road(parameters, place[0], place[1])
+        return basic_acceleration(along - car[0] - parameters.front, state[TRIGGER], parameters.deceleration), 0.0, 0.0
+
+    @kernel
+    def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
+        """Interface `resume_car`; the trigger, too."""
+        p = parameters
+        redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else p.car_start_speed * rng.random()
+        redrawn[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
+
+    @kernel
+    def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
+        """Interface `redraw_policy`: the trigger has been drawn already."""
+
+    @kernel(inline=True)
+    def last_changes(parameters: Any, state: FloatArray) -> Triple:
+        """Interface `last_changes`: of no matter to a car that has a law."""
+        return 0.0, 0.0, 0.0
+
+    @kernel(inline=True)
+    def aside(parameters: Any, state: FloatArray) -> Pair:
+        """Interface `aside`: it keeps to its lane."""
+        return 0.0, 0.0
+
+    start_car = _basic_start_car
 
 
-@template
-def _basic_expected_motion(
-    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
-) -> Triple:
-    """Interface `expected_motion`."""
-    _, along = on_road(parameters, place[0], place[1])
-    return basic_acceleration(along - car[0] - parameters.front, state[TRIGGER], parameters.deceleration), 0.0, 0.0
-
-
-@kernel
-def _basic_resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Interface `resume_car`; the trigger, too."""
-    p = parameters
-    redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else p.car_start_speed * rng.random()
-    redrawn[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
-
-
-@kernel
-def _basic_redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Interface `redraw_policy`: the trigger has been drawn already."""
-
-
-@kernel(inline=True)
-def _basic_last_changes(parameters: Any, state: FloatArray) -> Triple:
-    """Interface `last_changes`: of no matter to a car that has a law."""
-    return 0.0, 0.0, 0.0
-
-
-@kernel(inline=True)
-def _basic_aside(parameters: Any, state: FloatArray) -> Pair:
-    """Interface `aside`: it keeps to its lane."""
-    return 0.0, 0.0
-
-
-BASIC_KERNELS = CarKernels(
-    "basic",
-    0,
-    _basic_start_car,
-    _basic_advance_car,
-    _basic_expected_motion,
-    _basic_resume_car,
-    _basic_redraw_policy,
-    _basic_last_changes,
-    _basic_aside,
-)
+BASIC_KERNELS = CarKernels("basic", 0, **kernels_in(_Basic))
 
 WAITING_REWARD: Final = -0.08
 """m of deviation, for each step after φ's end: what it costs to wait for a car that stops by a law, which does not
@@ -221,15 +212,6 @@ def _fitted_redraw_policy(parameters: Any, state: FloatArray, rng: np.random.Gen
         state[MEMORY + tick] = 0.0
 
 
-@kernel
-def _fitted_start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Interface `start_car`: where the basic car starts."""
-    _basic_start_car(parameters, state, rng)
-    state[ADVERSARY_VX] = 0.0
-    state[ADVERSARY_VY] = 0.0
-    _fitted_redraw_policy(parameters, state, rng)
-
-
 @template(inline=False)
 def _in_reach(parameters: Any, trigger: float, path: float, place: Pair, velocity: Pair, car: Pair) -> bool:
     """Return whether an adversary makes the car brake; `car` is its place and speed, all in m and m/s."""
@@ -270,53 +252,55 @@ def _brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> boo
     return bool(_in_reach(p, trigger, state[PATH], place, velocity, (state[CAR_S], state[CAR_SPEED])))
 
 
-@template(inline=False)
-def _fitted_expected_motion(
-    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
-) -> Triple:
-    """Interface `expected_motion`; it reacts at once."""
-    if _in_reach(parameters, state[TRIGGER], state[PATH], place, before, (car[0], car[1])):
-        return float(-state[DECELERATION]), 0.0, 0.0
-    return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - car[1]))), 0.0, 0.0
+class _Fitted:
+    """A car that follows a law."""
+
+    @kernel
+    def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+        """Interface `start_car`: where the basic car starts."""
+        _basic_start_car(parameters, state, rng)
+        state[ADVERSARY_VX] = 0.0
+        state[ADVERSARY_VY] = 0.0
+        _fitted_redraw_policy(parameters, state, rng)
+
+    @template(inline=False)
+    def expected_motion(
+        parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
+    ) -> Triple:
+        """Interface `expected_motion`; it reacts at once."""
+        if _in_reach(parameters, state[TRIGGER], state[PATH], place, before, (car[0], car[1])):
+            return float(-state[DECELERATION]), 0.0, 0.0
+        return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - car[1]))), 0.0, 0.0
+
+    @template(inline=False)
+    def advance_car(
+        parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+    ) -> None:
+        """Interface `advance_car`."""
+        p = parameters
+        car_s, speed = state[CAR_S], state[CAR_SPEED]
+        decided = 1.0 if _brakes(p, state, rng) else 0.0
+        delay = int(state[DELAY])
+        done = decided if delay == 0 else state[MEMORY + delay - 1]
+        acceleration = min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed))
+        if done > 0.0:
+            acceleration = -state[DECELERATION]
+        speed_after = next_speed(speed, acceleration, draw_relative(state[SPEED_NOISE], rng), p.time_step)
+        car_s_after = car_s + travelled(speed, speed_after, p.time_step)
+        for k in range(TRIGGER, MEMORY):
+            next_state[k] = state[k]
+        for tick in range(LONGEST_DELAY - 1, 0, -1):
+            next_state[MEMORY + tick] = state[MEMORY + tick - 1]
+        next_state[MEMORY] = decided
+        next_state[ADVERSARY_VX] = vx
+        next_state[ADVERSARY_VY] = vy
+        next_state[CAR_S] = car_s_after
+        next_state[CAR_SPEED] = speed_after
+
+    redraw_policy = _fitted_redraw_policy
 
 
-@template(inline=False)
-def _fitted_advance_car(
-    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
-) -> None:
-    """Interface `advance_car`."""
-    p = parameters
-    car_s, speed = state[CAR_S], state[CAR_SPEED]
-    decided = 1.0 if _brakes(p, state, rng) else 0.0
-    delay = int(state[DELAY])
-    done = decided if delay == 0 else state[MEMORY + delay - 1]
-    acceleration = min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed))
-    if done > 0.0:
-        acceleration = -state[DECELERATION]
-    speed_after = next_speed(speed, acceleration, draw_relative(state[SPEED_NOISE], rng), p.time_step)
-    car_s_after = car_s + travelled(speed, speed_after, p.time_step)
-    for k in range(TRIGGER, MEMORY):
-        next_state[k] = state[k]
-    for tick in range(LONGEST_DELAY - 1, 0, -1):
-        next_state[MEMORY + tick] = state[MEMORY + tick - 1]
-    next_state[MEMORY] = decided
-    next_state[ADVERSARY_VX] = vx
-    next_state[ADVERSARY_VY] = vy
-    next_state[CAR_S] = car_s_after
-    next_state[CAR_SPEED] = speed_after
-
-
-_FITTED_KERNELS = CarKernels(
-    "fitted",
-    FITTED_STATE_DIM - STATE_DIM,
-    _fitted_start_car,
-    _fitted_advance_car,
-    _fitted_expected_motion,
-    _basic_resume_car,
-    _fitted_redraw_policy,
-    _basic_last_changes,
-    _basic_aside,
-)
+_FITTED_KERNELS = replace(BASIC_KERNELS, name="fitted", own_dim=FITTED_STATE_DIM - STATE_DIM, **kernels_in(_Fitted))
 
 
 # State vector, beyond the crossing's own: velocity of the road user in the last tick, (right, along) of the road, m/s,
@@ -347,17 +331,6 @@ def _forest_redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.G
     redrawn[CHANGE_BEFORE] = 0.0
 
 
-@kernel
-def _forest_start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Interface `start_car`: where the basic car starts."""
-    _basic_start_car(parameters, state, rng)
-    state[SIDEWAYS] = 0.0
-    state[RECEDING] = 0.0
-    state[OFFSET] = 0.0
-    state[TURNED] = 0.0
-    _forest_redraw_policy(parameters, state, rng)
-
-
 @template(inline=False)
 def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple) -> int:
     """Return the leaf of a tree to which a tick belongs.
@@ -372,75 +345,76 @@ def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car:
     return leaf_of(p.forest_nodes, p.forest_roots[tree], features)
 
 
-@template
-def _forest_advance_car(
-    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
-) -> None:
-    """Interface `advance_car`: as in a recorded tick that was like this one."""
-    p = parameters
-    x, y, car_s, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S], state[CAR_SPEED]
-    before, changes = (state[SIDEWAYS], state[RECEDING]), (state[CHANGE], state[CHANGE_BEFORE], state[TURNED])
-    leaf = _leaf(p, _draw_tree(p, rng), (x, y), before, (vx, vy), (car_s, speed, state[OFFSET]), changes)
-    count = int(p.forest_nodes[leaf, 2])
-    donor = int(p.forest_nodes[leaf, 1]) + min(count - 1, int(count * rng.random()))
-    speed_after = max(0.0, speed + float(p.forest_donors[donor, 0]))
-    distance = 0.0
-    if speed > 0.0 or speed_after > 0.0:
-        distance = max(0.0, travelled(speed, speed_after, p.time_step) + float(p.forest_donors[donor, 1]))
-    next_state[CAR_S] = car_s + distance
-    next_state[CAR_SPEED] = speed_after
-    next_state[TRIGGER] = _ALWAYS if speed - speed_after > _NOISE * speed else 0.0
-    next_state[TREE] = state[TREE]
-    next_state[CHANGE] = speed_after - speed
-    next_state[CHANGE_BEFORE] = state[CHANGE]
-    next_state[OFFSET] = state[OFFSET] + float(p.forest_donors[donor, 2])
-    next_state[TURNED] = float(p.forest_donors[donor, 3])
-    sideways, receding = velocity_on_road(p, x, y, vx, vy)
-    next_state[SIDEWAYS] = sideways
-    next_state[RECEDING] = receding
+class _Forest:
+    """A car that does as its recordings."""
+
+    @kernel
+    def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+        """Interface `start_car`: where the basic car starts."""
+        _basic_start_car(parameters, state, rng)
+        state[SIDEWAYS] = 0.0
+        state[RECEDING] = 0.0
+        state[OFFSET] = 0.0
+        state[TURNED] = 0.0
+        _forest_redraw_policy(parameters, state, rng)
+
+    @template
+    def advance_car(
+        parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+    ) -> None:
+        """Interface `advance_car`: as in a recorded tick that was like this one."""
+        p = parameters
+        x, y, car_s, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S], state[CAR_SPEED]
+        before, changes = (state[SIDEWAYS], state[RECEDING]), (state[CHANGE], state[CHANGE_BEFORE], state[TURNED])
+        leaf = _leaf(p, _draw_tree(p, rng), (x, y), before, (vx, vy), (car_s, speed, state[OFFSET]), changes)
+        count = int(p.forest_nodes[leaf, 2])
+        donor = int(p.forest_nodes[leaf, 1]) + min(count - 1, int(count * rng.random()))
+        speed_after = max(0.0, speed + float(p.forest_donors[donor, 0]))
+        distance = 0.0
+        if speed > 0.0 or speed_after > 0.0:
+            distance = max(0.0, travelled(speed, speed_after, p.time_step) + float(p.forest_donors[donor, 1]))
+        next_state[CAR_S] = car_s + distance
+        next_state[CAR_SPEED] = speed_after
+        next_state[TRIGGER] = _ALWAYS if speed - speed_after > _NOISE * speed else 0.0
+        next_state[TREE] = state[TREE]
+        next_state[CHANGE] = speed_after - speed
+        next_state[CHANGE_BEFORE] = state[CHANGE]
+        next_state[OFFSET] = state[OFFSET] + float(p.forest_donors[donor, 2])
+        next_state[TURNED] = float(p.forest_donors[donor, 3])
+        sideways, receding = velocity_on_road(p, x, y, vx, vy)
+        next_state[SIDEWAYS] = sideways
+        next_state[RECEDING] = receding
+
+    @template(inline=False)
+    def expected_motion(
+        parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
+    ) -> Triple:
+        """Interface `expected_motion`."""
+        p = parameters
+        on_road_before = velocity_on_road(p, place[0], place[1], before[0], before[1])
+        leaf = _leaf(p, int(state[TREE]), place, on_road_before, now, car, changes)
+        change, drift, turned = p.forest_nodes[leaf, 3], p.forest_nodes[leaf, 4], p.forest_nodes[leaf, 5]
+        return float(change) / float(p.time_step), float(drift), float(turned)
+
+    @kernel
+    def last_changes(parameters: Any, state: FloatArray) -> Triple:
+        """Interface `last_changes`."""
+        return state[CHANGE], state[CHANGE_BEFORE], state[TURNED]
+
+    @kernel(inline=True)
+    def aside(parameters: Any, state: FloatArray) -> Pair:
+        """Interface `aside`."""
+        return state[OFFSET], state[TURNED]
+
+    @kernel
+    def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
+        """Interface `resume_car`."""
+        redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else parameters.car_start_speed * rng.random()
+
+    redraw_policy = _forest_redraw_policy
 
 
-@template(inline=False)
-def _forest_expected_motion(
-    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Triple, changes: Triple
-) -> Triple:
-    """Interface `expected_motion`."""
-    p = parameters
-    on_road_before = velocity_on_road(p, place[0], place[1], before[0], before[1])
-    leaf = _leaf(p, int(state[TREE]), place, on_road_before, now, car, changes)
-    change, drift, turned = p.forest_nodes[leaf, 3], p.forest_nodes[leaf, 4], p.forest_nodes[leaf, 5]
-    return float(change) / float(p.time_step), float(drift), float(turned)
-
-
-@kernel
-def _forest_last_changes(parameters: Any, state: FloatArray) -> Triple:
-    """Interface `last_changes`."""
-    return state[CHANGE], state[CHANGE_BEFORE], state[TURNED]
-
-
-@kernel(inline=True)
-def _forest_aside(parameters: Any, state: FloatArray) -> Pair:
-    """Interface `aside`."""
-    return state[OFFSET], state[TURNED]
-
-
-@kernel
-def _forest_resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Interface `resume_car`."""
-    redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else parameters.car_start_speed * rng.random()
-
-
-_FOREST_KERNELS = CarKernels(
-    "forest",
-    FOREST_STATE_DIM - STATE_DIM,
-    _forest_start_car,
-    _forest_advance_car,
-    _forest_expected_motion,
-    _forest_resume_car,
-    _forest_redraw_policy,
-    _forest_last_changes,
-    _forest_aside,
-)
+_FOREST_KERNELS = CarKernels("forest", FOREST_STATE_DIM - STATE_DIM, **kernels_in(_Forest))
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,11 @@ SEARCH: Final = PlannerOptions(
 hit is a matter of one good action at the right time, which a mean over all actions hides: docs/decisions.md (1)."""
 
 
+def kernels_in(owner: type) -> dict[str, Any]:
+    """Return the functions that a class without objects holds together, by interface."""
+    return {name: getattr(owner, name) for name in vars(owner) if not name.startswith("__")}
+
+
 def kernels_of(part: Any, name: str, parts: Mapping[str, Any]) -> dict[str, Any]:
     """Return all kernels of a part, by interface, its templates compiled with `parts`; see `bound`."""
     found = {one.name: getattr(part, one.name) for one in fields(part)}

@@ -22,7 +22,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
 from skd_sim.world.state import FloatArray
 
-from skd_adversary.crossing.interfaces import USER_ROW, Pair, RoadUserKernels, RoadUserModel, template
+from skd_adversary.crossing.interfaces import USER_ROW, Pair, RoadUserKernels, RoadUserModel, kernels_in, template
 
 # Actions on foot, in the order of the paper
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
@@ -50,76 +50,55 @@ def compass_velocity(parameters: Any, action: int) -> Pair:
     return parameters.crossing * vx, vy
 
 
-@kernel(inline=True)
-def _pedestrian_start_road_user(parameters: Any, state: FloatArray) -> None:
-    pass
+class _Pedestrian:
+    """Whoever goes at one speed, or stays."""
 
+    @kernel(inline=True)
+    def start_road_user(parameters: Any, state: FloatArray) -> None:
+        pass
 
-@kernel(inline=True)
-def _pedestrian_velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
-    return compass_velocity(parameters, action)
+    @kernel(inline=True)
+    def velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
+        return compass_velocity(parameters, action)
 
+    @kernel(inline=True)
+    def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+        pass
 
-@kernel(inline=True)
-def _pedestrian_settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
-    pass
+    @kernel(inline=True)
+    def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
+        return vx, vy
 
+    @kernel(inline=True)
+    def moving(parameters: Any, state: FloatArray) -> Pair:
+        return 0.0, 0.0
 
-@kernel(inline=True)
-def _pedestrian_possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
-    return vx, vy
+    @kernel(inline=True)
+    def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
+        return compass_velocity(parameters, action)
 
+    @kernel(inline=True)
+    def next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
+        return x, y
 
-@kernel(inline=True)
-def _pedestrian_moving(parameters: Any, state: FloatArray) -> Pair:
-    return 0.0, 0.0
+    @kernel(inline=True)
+    def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+        return 0.0
 
+    @kernel(inline=True)
+    def steer(parameters: Any, state: FloatArray, direction: int) -> int:
+        return direction
 
-@kernel(inline=True)
-def _pedestrian_next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
-    return compass_velocity(parameters, action)
-
-
-@kernel(inline=True)
-def _pedestrian_next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
-    return x, y
-
-
-@kernel(inline=True)
-def _pedestrian_pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
-    return 0.0
-
-
-@kernel(inline=True)
-def _pedestrian_steer(parameters: Any, state: FloatArray, direction: int) -> int:
-    return direction
-
-
-@kernel(inline=True)
-def _pedestrian_touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
-    p = parameters
-    return first_contact(before[0], before[1], after[0], after[1], p.front, p.rear, p.half_width, p.radius)
+    @kernel(inline=True)
+    def touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
+        p = parameters
+        return first_contact(before[0], before[1], after[0], after[1], p.front, p.rear, p.half_width, p.radius)
 
 
 _PEDESTRIAN_KERNELS = RoadUserKernels(
-    name="pedestrian",
-    action_count=ACTION_COUNT,
-    rest=STAY,
-    own_dim=0,
-    box=False,
-    late=(STAY, SOUTH, SOUTH_EAST),
-    early=(EAST, NORTH_EAST, NORTH),
-    start_road_user=_pedestrian_start_road_user,
-    velocity=_pedestrian_velocity,
-    settle=_pedestrian_settle,
-    possible=_pedestrian_possible,
-    moving=_pedestrian_moving,
-    next_velocity=_pedestrian_next_velocity,
-    next_possible=_pedestrian_next_possible,
-    pointing=_pedestrian_pointing,
-    steer=_pedestrian_steer,
-    touch=_pedestrian_touch,
-)
+    name="pedestrian", action_count=ACTION_COUNT, rest=STAY, own_dim=0, box=False,
+    late=(STAY, SOUTH, SOUTH_EAST), early=(EAST, NORTH_EAST, NORTH), **kernels_in(_Pedestrian),
+)  # fmt: skip
 
 
 _FORMATS: Final = ("carla", "metadrive", "openscenario", "osi", "commonroad", "levelxdata")
@@ -143,60 +122,46 @@ def nearest_walked(most: float, vx: float, vy: float, target_x: float, target_y:
     return vx + most / change * dx, vy + most / change * dy
 
 
-@template
-def _walker_start_road_user(parameters: Any, state: FloatArray) -> None:
-    """It comes as φ does in its first step; without φ it stands."""
-    p = parameters
-    state[USER_ROW] = state[USER_ROW + 1] = 0.0
-    if p.path.shape[0] > 1:
-        state[USER_ROW] = (p.path[1, 0] - p.path[0, 0]) / p.time_step
-        state[USER_ROW + 1] = (p.path[1, 1] - p.path[0, 1]) / p.time_step
+class _Walker:
+    """Whoever needs time to start, turn and stop."""
+
+    @template
+    def start_road_user(parameters: Any, state: FloatArray) -> None:
+        """It comes as φ does in its first step; without φ it stands."""
+        p = parameters
+        state[USER_ROW] = state[USER_ROW + 1] = 0.0
+        if p.path.shape[0] > 1:
+            state[USER_ROW] = (p.path[1, 0] - p.path[0, 0]) / p.time_step
+            state[USER_ROW + 1] = (p.path[1, 1] - p.path[0, 1]) / p.time_step
+
+    @template
+    def velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
+        x, y = compass_velocity(parameters, action)
+        return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], x, y)
+
+    @template
+    def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+        next_state[USER_ROW], next_state[USER_ROW + 1] = vx, vy
+
+    @template
+    def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
+        return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], vx, vy)
+
+    @template
+    def moving(parameters: Any, state: FloatArray) -> Pair:
+        return state[USER_ROW], state[USER_ROW + 1]
+
+    @kernel(inline=True)
+    def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
+        x, y = compass_velocity(parameters, action)
+        return nearest_walked(parameters.own_change, vx, vy, x, y)
+
+    @kernel(inline=True)
+    def next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
+        return nearest_walked(parameters.own_change, vx, vy, x, y)
 
 
-@template
-def _walker_velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
-    x, y = compass_velocity(parameters, action)
-    return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], x, y)
-
-
-@template
-def _walker_settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
-    next_state[USER_ROW], next_state[USER_ROW + 1] = vx, vy
-
-
-@template
-def _walker_possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
-    return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], vx, vy)
-
-
-@template
-def _walker_moving(parameters: Any, state: FloatArray) -> Pair:
-    return state[USER_ROW], state[USER_ROW + 1]
-
-
-@kernel(inline=True)
-def _walker_next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
-    x, y = compass_velocity(parameters, action)
-    return nearest_walked(parameters.own_change, vx, vy, x, y)
-
-
-@kernel(inline=True)
-def _walker_next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
-    return nearest_walked(parameters.own_change, vx, vy, x, y)
-
-
-_WALKER_KERNELS = replace(
-    _PEDESTRIAN_KERNELS,
-    name="walker",
-    own_dim=2,
-    start_road_user=_walker_start_road_user,
-    velocity=_walker_velocity,
-    settle=_walker_settle,
-    possible=_walker_possible,
-    moving=_walker_moving,
-    next_velocity=_walker_next_velocity,
-    next_possible=_walker_next_possible,
-)
+_WALKER_KERNELS = replace(_PEDESTRIAN_KERNELS, name="walker", own_dim=2, **kernels_in(_Walker))
 
 
 def _walker_parameters_of(acceleration: float, scenario: Scenario) -> Mapping[str, Any]:
@@ -331,88 +296,69 @@ def steered(limits: RidingLimits, crossing: float, heading: float, direction: in
     return LEFT if left > 0.0 else RIGHT
 
 
-@template
-def _wheeled_start_road_user(parameters: Any, state: FloatArray) -> None:
-    p = parameters
-    state[USER_ROW], state[USER_ROW + 1] = _arrived(p.path, p.own_heading, p.own_speed, p.time_step)
+class _Wheeled:
+    """Whoever moves where its box points."""
 
+    @template
+    def start_road_user(parameters: Any, state: FloatArray) -> None:
+        p = parameters
+        state[USER_ROW], state[USER_ROW + 1] = _arrived(p.path, p.own_heading, p.own_speed, p.time_step)
 
-@template
-def _wheeled_velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
-    p = parameters
-    return ridden(p.own_limits, state[USER_ROW], state[USER_ROW + 1], action, p.adversary_speed, p.time_step)
+    @template
+    def velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
+        p = parameters
+        return ridden(p.own_limits, state[USER_ROW], state[USER_ROW + 1], action, p.adversary_speed, p.time_step)
 
+    @template
+    def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+        next_state[USER_ROW], next_state[USER_ROW + 1] = settled(state[USER_ROW], vx, vy)
 
-@template
-def _wheeled_settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
-    next_state[USER_ROW], next_state[USER_ROW + 1] = settled(state[USER_ROW], vx, vy)
+    @template
+    def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
+        p = parameters
+        return nearest_ridden(
+            p.own_limits, state[USER_ROW], state[USER_ROW + 1], vx, vy, p.adversary_speed, p.time_step
+        )
 
+    @template
+    def moving(parameters: Any, state: FloatArray) -> Pair:
+        return state[USER_ROW + 1] * math.cos(state[USER_ROW]), state[USER_ROW + 1] * math.sin(state[USER_ROW])
 
-@template
-def _wheeled_possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
-    p = parameters
-    return nearest_ridden(p.own_limits, state[USER_ROW], state[USER_ROW + 1], vx, vy, p.adversary_speed, p.time_step)
+    @kernel(inline=True)
+    def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
+        p = parameters
+        heading, speed = settled(p.own_heading, vx, vy)
+        return ridden(p.own_limits, heading, speed, action, p.adversary_speed, p.time_step)
 
+    @kernel(inline=True)
+    def next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
+        p = parameters
+        heading, speed = settled(p.own_heading, vx, vy)
+        return nearest_ridden(p.own_limits, heading, speed, x, y, p.adversary_speed, p.time_step)
 
-@template
-def _wheeled_moving(parameters: Any, state: FloatArray) -> Pair:
-    return state[USER_ROW + 1] * math.cos(state[USER_ROW]), state[USER_ROW + 1] * math.sin(state[USER_ROW])
+    @template
+    def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+        return settled(state[USER_ROW], vx, vy)[0]
 
+    @template
+    def steer(parameters: Any, state: FloatArray, direction: int) -> int:
+        return steered(parameters.own_limits, parameters.crossing, state[USER_ROW], direction)
 
-@kernel(inline=True)
-def _wheeled_next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
-    p = parameters
-    heading, speed = settled(p.own_heading, vx, vy)
-    return ridden(p.own_limits, heading, speed, action, p.adversary_speed, p.time_step)
-
-
-@kernel(inline=True)
-def _wheeled_next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
-    p = parameters
-    heading, speed = settled(p.own_heading, vx, vy)
-    return nearest_ridden(p.own_limits, heading, speed, x, y, p.adversary_speed, p.time_step)
-
-
-@template
-def _wheeled_pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
-    return settled(state[USER_ROW], vx, vy)[0]
-
-
-@template
-def _wheeled_steer(parameters: Any, state: FloatArray, direction: int) -> int:
-    return steered(parameters.own_limits, parameters.crossing, state[USER_ROW], direction)
-
-
-@kernel(inline=True)
-def _wheeled_touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
-    p = parameters
-    ahead, left = before
-    ahead_after, left_after = after
-    own_length, own_width = p.own_half_length, p.own_half_width
-    return first_contact_of_boxes(
-        ahead, left, ahead_after, left_after, turned, p.front, p.rear, p.half_width, own_length, own_width
-    )
+    @kernel(inline=True)
+    def touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
+        p = parameters
+        ahead, left = before
+        ahead_after, left_after = after
+        own_length, own_width = p.own_half_length, p.own_half_width
+        return first_contact_of_boxes(
+            ahead, left, ahead_after, left_after, turned, p.front, p.rear, p.half_width, own_length, own_width
+        )
 
 
 _WHEELED_KERNELS = RoadUserKernels(
-    name="wheeled",
-    action_count=len(_RIDING_ACTIONS),
-    rest=BRAKE,
-    own_dim=2,
-    box=True,
-    late=_RIDING_ACTIONS,
-    early=_RIDING_ACTIONS,
-    start_road_user=_wheeled_start_road_user,
-    velocity=_wheeled_velocity,
-    settle=_wheeled_settle,
-    possible=_wheeled_possible,
-    moving=_wheeled_moving,
-    next_velocity=_wheeled_next_velocity,
-    next_possible=_wheeled_next_possible,
-    pointing=_wheeled_pointing,
-    steer=_wheeled_steer,
-    touch=_wheeled_touch,
-)
+    name="wheeled", action_count=len(_RIDING_ACTIONS), rest=BRAKE, own_dim=2, box=True,
+    late=_RIDING_ACTIONS, early=_RIDING_ACTIONS, **kernels_in(_Wheeled),
+)  # fmt: skip
 
 
 def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[str, Any]:
