@@ -203,7 +203,6 @@ class SensorModel:
 
     Attributes:
         name: name of the sensor; compiled code is called by it.
-        parameters: scenario → parameters of the model, by name.
         sense: (scenario, own place (x, y) in m, the car, generator) → observation.
         observe: draws an observation; see `Pomdp`.
         likelihood: likelihood of an observation; see `Pomdp`.
@@ -213,7 +212,6 @@ class SensorModel:
     """
 
     name: str
-    parameters: Callable[[Scenario], Mapping[str, float]]
     sense: Callable[[Scenario, Pair, CarState, np.random.Generator], FloatArray]
     observe: Any
     likelihood: Any

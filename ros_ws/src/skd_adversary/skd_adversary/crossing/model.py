@@ -54,7 +54,6 @@ from skd_adversary.crossing.objectives import FRECHET, PAPER, SAFE
 from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import PEDESTRIAN
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
-from skd_adversary.crossing.sensors import DISTANCE, RELATIVE_POSITION
 from skd_adversary.pomdp.model import Pomdp
 
 
@@ -124,6 +123,8 @@ def crossing_parameters(
         "maximum_distance": math.inf if maximum_distance is None else maximum_distance,
         "obstacles": np.array(scenario.rectangles),  # a copy, as of φ
         "core": adversary.core,
+        "distance_noise": adversary.distance_noise,
+        "position_noise": adversary.position_noise,
         "path": np.array(path, dtype=np.float64, order="C"),  # a copy: one type for kernels, read-only or not
     }
 
@@ -182,15 +183,13 @@ def _reinvigorate(car: CarKernels, sensor: SensorModel, road: RoadKernels) -> An
 
 
 def _parameters_of_all(scenario: Scenario, path: FloatArray) -> dict[str, Any]:
-    """Return the parameters of every objective and sensor.
+    """Return the parameters of every objective.
 
     Models that differ in these alone share a type of parameters, and so the kernels of road user, car and road.
     """
     found: dict[str, Any] = {}
     for objective in (SAFE, PAPER, FRECHET, DEVIATION):
         found |= objective.parameters(scenario, path)
-    for sensor in (DISTANCE, RELATIVE_POSITION):
-        found |= sensor.parameters(scenario)
     return found
 
 
@@ -252,7 +251,6 @@ def compose(
         road.parameters(scenario),
         road_user.parameters(scenario),
         car.parameters(scenario),
-        sensor.parameters(scenario),
         objective.parameters(scenario, phi),
     )
     values: dict[str, Any] = {}

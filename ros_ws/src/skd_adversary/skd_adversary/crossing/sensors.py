@@ -76,9 +76,7 @@ class _Distance:
         redrawn[CAR_S] = at_distance(parameters, x, y, distance, state[CAR_S] <= along)
 
 
-DISTANCE = SensorModel(
-    "distance", lambda scenario: {"distance_noise": scenario.adversary.distance_noise}, **kernels_in(_Distance)
-)
+DISTANCE = SensorModel("distance", **kernels_in(_Distance))
 
 
 class _Position:
@@ -124,9 +122,7 @@ class _Position:
                 break
 
 
-RELATIVE_POSITION = SensorModel(
-    "position", lambda scenario: {"position_noise": scenario.adversary.position_noise}, **kernels_in(_Position)
-)
+RELATIVE_POSITION = SensorModel("position", **kernels_in(_Position))
 
 
 _HEADING_NOISE: Final = 0.1  # rad
