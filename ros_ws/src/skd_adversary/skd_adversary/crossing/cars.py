@@ -49,6 +49,8 @@ from skd_adversary.crossing.interfaces import (
 )
 from skd_adversary.crossing.sensors import DISTANCE, POSE, RELATIVE_POSITION
 
+# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
+
 
 @kernel
 def _basic_start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:

@@ -33,6 +33,8 @@ _DIAGONAL = math.sqrt(0.5)
 DIRECTION_EAST = (0.0, 0.0, 1.0, _DIAGONAL, _DIAGONAL, 0.0)
 DIRECTION_NORTH = (1.0, -1.0, 0.0, _DIAGONAL, -_DIAGONAL, 0.0)
 
+# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
+
 
 # --- the pedestrian
 

@@ -19,6 +19,8 @@ from skd_adversary.crossing.interfaces import Pair, RoadKernels, kernels_in, tem
 
 _GRAZE: Final = 1e-9  # m
 
+# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
+
 
 @kernel(inline=True)
 def _from_aside(ahead: float, left: float, aside: Pair) -> Pair:

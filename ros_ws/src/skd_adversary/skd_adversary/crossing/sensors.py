@@ -35,6 +35,8 @@ from skd_adversary.crossing.interfaces import (
     template,
 )
 
+# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
+
 
 @template
 def _distance(parameters: Any, state: FloatArray) -> float:

@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros import support
-from skd_sim.ros.to_messages import to_stamp
+from skd_sim.ros.to_messages import header
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.timing import tick_stamp
 from std_msgs.msg import String
@@ -204,7 +204,8 @@ class BagRecorder:
         write_bag(self._folder / name, [*shown, *messages])
 
     def _ending(self, specification: Any, result: EpisodeEnd, end: int) -> EpisodeResult:
-        ending = EpisodeResult(
+        return EpisodeResult(
+            header=header(end, specification.header.frame_id),
             campaign=self._key.campaign,
             episode_id=self._key.episode_id,
             start=specification.header.stamp,
@@ -214,8 +215,6 @@ class BagRecorder:
             impact_speed=math.nan,
             reason=result.reason,
         )
-        ending.header.stamp, ending.header.frame_id = to_stamp(end), specification.header.frame_id
-        return ending
 
     def _own(self, topic: str, message: Any, stamp: int, *, latched: bool = False) -> RecordedMessage:
         data = serialize_message(message)

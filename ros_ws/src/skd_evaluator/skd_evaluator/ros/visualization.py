@@ -18,7 +18,7 @@ from skd_sim.options.options import MAP_FRAME, CommandOptions
 from skd_sim.ros.commands import Quantity, angle_of_yaw_rate, car_commands
 from skd_sim.ros.state_publisher import CAR_HEIGHT
 from skd_sim.ros.support import STREAM, Moments, Topic
-from skd_sim.ros.to_messages import to_orientation, to_stamp
+from skd_sim.ros.to_messages import header, to_orientation
 from skd_sim.scenario.road import Road
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.world.dynamics.basic import wheels
@@ -41,8 +41,7 @@ _LANE_ENDS = (-40.0, 40.0)  # m along a lane
 
 def _marker(number: int, kind: int, stamp: int, colour: str, *, alpha: float = 1.0, heading: float = 0.0) -> Marker:
     """Return a marker in a colour of the palette, "#RRGGBB"."""
-    marker = Marker(ns="skd", id=number, type=kind, action=Marker.ADD)
-    marker.header.frame_id, marker.header.stamp = MAP_FRAME, to_stamp(stamp)
+    marker = Marker(header=header(stamp, MAP_FRAME), ns="skd", id=number, type=kind, action=Marker.ADD)
     marker.pose.orientation = to_orientation(heading)
     red, green, blue = (int(colour[start : start + 2], 16) / 255.0 for start in (1, 3, 5))
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)

@@ -27,7 +27,7 @@ from skd_sim.ros.diagnosis import Awaited, Evidence, diagnose, kind_name, second
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
 from skd_sim.ros.state_publisher import StatePublisher
 from skd_sim.ros.support import LATCHED, STREAM, GraphNode, Topic, declare, run_node
-from skd_sim.ros.to_messages import acceleration_command, to_stamp
+from skd_sim.ros.to_messages import acceleration_command, header, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.dynamics.basic import Command, CommandLimits, wheels
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
@@ -250,8 +250,7 @@ class GraphSimulator:
 
     def _publish_result(self, end: lockstep.End, clipped: int) -> None:
         result = EpisodeResult(outcome=int(end.outcome), ticks=end.frame.tick, reason=end.reason)
-        result.header.stamp = to_stamp(end.stamp)
-        result.header.frame_id = MAP_FRAME
+        result.header = header(end.stamp, MAP_FRAME)
         result.campaign = self._message.campaign
         result.episode_id = int(self._message.episode_id)
         result.start = to_stamp(self._start)

@@ -165,8 +165,7 @@ _DIAGONAL = (0, 7, 35)  # x, y and yaw in a covariance of 6 × 6, row by row
 
 def initial_pose(car: CarState, stamp: int) -> PoseWithCovarianceStamped:
     """Return where the car starts, with a stamp (ns); exact, but a variance of zero would say that it is not known."""
-    message = PoseWithCovarianceStamped()
-    message.header.stamp, message.header.frame_id = to_messages.to_stamp(stamp), MAP_FRAME
+    message = PoseWithCovarianceStamped(header=to_messages.header(stamp, MAP_FRAME))
     message.pose.pose.position.x, message.pose.pose.position.y = car.x, car.y
     message.pose.pose.orientation = to_messages.to_orientation(car.heading)
     for place in _DIAGONAL:
@@ -195,10 +194,10 @@ def detections(scenario: Scenario, scene: Scene, stamp: int, frame_id: str) -> A
     found = [_detection(ADVERSARY_FRAME, scenario.adversary, scene.adversary)]
     for index, (other, state) in enumerate(zip(scenario.others, scene.others, strict=True)):
         found.append(_detection(f"other_{index}", other, state))
-    message = Detection3DArray(detections=found)
-    for one in (message, *found):
-        one.header.stamp, one.header.frame_id = to_messages.to_stamp(stamp), frame_id
-    return message
+    head = to_messages.header(stamp, frame_id)
+    for one in found:
+        one.header = head
+    return Detection3DArray(header=head, detections=found)
 
 
 def _detection(track: str, body: Body, state: RoadUserState) -> Any:

@@ -13,6 +13,7 @@ from geometry_msgs.msg import AccelStamped, Point, Quaternion, TransformStamped,
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, LaserScan, PointCloud2, PointField
 from skd_msgs.msg import Episode as EpisodeMsg
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from skd_sim.options.options import ADVERSARY_FRAME, FIELDS, FRAMES, MAP_FRAME, Frames, options_of, options_to_text
@@ -34,6 +35,11 @@ def to_stamp(nanoseconds: int) -> Time:
     """Return a time message."""
     seconds, rest = divmod(nanoseconds, NANOSECONDS)
     return Time(sec=seconds, nanosec=rest)
+
+
+def header(stamp: int, frame: str) -> Header:
+    """Return a header with a stamp, ns."""
+    return Header(stamp=to_stamp(stamp), frame_id=frame)
 
 
 def to_orientation(heading: float) -> Quaternion:
@@ -107,10 +113,7 @@ def static_transforms(
 def _transform(
     parent: str, child: str, place: tuple[float, float, float], stamp: int, heading: float = 0.0
 ) -> TransformStamped:
-    transform = TransformStamped()
-    transform.header.stamp = to_stamp(stamp)
-    transform.header.frame_id = parent
-    transform.child_frame_id = child
+    transform = TransformStamped(header=header(stamp, parent), child_frame_id=child)
     translation = transform.transform.translation
     translation.x, translation.y, translation.z = place
     transform.transform.rotation = to_orientation(heading)
@@ -119,10 +122,7 @@ def _transform(
 
 def inertia_to_message(inertia: Inertia, stamp: int, frames: Frames = FRAMES) -> Imu:
     """Return what the inertial unit measures, in the frame of the car (REP 145)."""
-    message = Imu()
-    message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = frames.base
-    message.orientation = to_orientation(inertia.heading)
+    message = Imu(header=header(stamp, frames.base), orientation=to_orientation(inertia.heading))
     message.angular_velocity.z = inertia.yaw_rate
     acceleration = message.linear_acceleration
     acceleration.x, acceleration.y, acceleration.z = inertia.acceleration
@@ -133,9 +133,7 @@ def inertia_to_message(inertia: Inertia, stamp: int, frames: Frames = FRAMES) ->
 
 def scan_to_message(scan: Scan, stamp: int, frames: Frames = FRAMES) -> LaserScan:
     """Return a scan in the frame of the sensor: all beams at once, at `stamp` (ns)."""
-    message = LaserScan()
-    message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = frames.laser
+    message = LaserScan(header=header(stamp, frames.laser))
     message.angle_min = scan.angle_min
     message.angle_max = scan.angle_min + (len(scan.ranges) - 1) * scan.angle_increment
     message.angle_increment = scan.angle_increment
@@ -147,9 +145,7 @@ def scan_to_message(scan: Scan, stamp: int, frames: Frames = FRAMES) -> LaserSca
 def scan_to_points(scan: Scan, stamp: int, frames: Frames = FRAMES) -> PointCloud2:
     """Return what came back of a scan as a point cloud in the frame of the sensor: x, y, z, single precision."""
     points = scan.points()
-    message = PointCloud2()
-    message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = frames.laser
+    message = PointCloud2(header=header(stamp, frames.laser))
     message.fields = [
         PointField(name=name, offset=4 * place, datatype=PointField.FLOAT32, count=1)
         for place, name in enumerate(("x", "y", "z"))
@@ -163,18 +159,14 @@ def scan_to_points(scan: Scan, stamp: int, frames: Frames = FRAMES) -> PointClou
 
 def acceleration_command(command: Command, stamp: int) -> AccelStamped:
     """Return the car's command for the tick with this stamp (ns): m/s², and as `accel.angular.z` what it steers by."""
-    message = AccelStamped()
-    message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = FRAMES.base
+    message = AccelStamped(header=header(stamp, FRAMES.base))
     message.accel.linear.x, message.accel.angular.z = as_pair(command)
     return message
 
 
 def velocity_command(velocity: tuple[float, float], stamp: int) -> TwistStamped:
     """Return the adversary's command for the tick with this stamp (ns): (East, North), m/s."""
-    message = TwistStamped()
-    message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = MAP_FRAME
+    message = TwistStamped(header=header(stamp, MAP_FRAME))
     message.twist.linear.x = float(velocity[0])
     message.twist.linear.y = float(velocity[1])
     return message
@@ -188,21 +180,18 @@ def scenario_text(scenario: Scenario) -> str:
 
 def episode_to_message(episode: EpisodeSpec, campaign: str, start: int) -> EpisodeMsg:
     """Return the message of an episode that starts at `start` (ns)."""
-    message = EpisodeMsg()
-    message.header.stamp = to_stamp(start)
-    message.header.frame_id = MAP_FRAME
-    message.campaign = campaign
-    message.episode_id = episode.episode_id
-    message.seed = episode.seed
-    message.mode = int(episode.mode)
-    message.controller_seed = np.frombuffer(controller_seed(episode.seed, episode.episode_id), np.uint8)
-    message.scenario = scenario_text(episode.scenario)
-    if episode.public is not None:
-        message.public_scenario = scenario_text(episode.public)
-    for one in options_of(EpisodeSpec):
-        if one.name in FIELDS:
-            setattr(message, one.name, one.plain(getattr(episode, one.name)))
-    message.options = options_to_text(episode)
+    message = EpisodeMsg(
+        header=header(start, MAP_FRAME),
+        campaign=campaign,
+        episode_id=episode.episode_id,
+        seed=episode.seed,
+        mode=int(episode.mode),
+        controller_seed=np.frombuffer(controller_seed(episode.seed, episode.episode_id), np.uint8),
+        scenario=scenario_text(episode.scenario),
+        public_scenario="" if episode.public is None else scenario_text(episode.public),
+        options=options_to_text(episode),
+        **{one.name: one.plain(getattr(episode, one.name)) for one in options_of(EpisodeSpec) if one.name in FIELDS},
+    )
     if episode.safe_trajectory is not None:
         message.safe_trajectory_name = episode.safe_trajectory.name
         message.safe_trajectory_time_step = float(episode.safe_trajectory.time_step)
