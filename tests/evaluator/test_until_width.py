@@ -50,8 +50,8 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
         write_episodes(tmp_path / name, rating)
         contents.append((tmp_path / f"{name}.npz").read_bytes())
     assert contents[0] == contents[1]
-    assert found.hits() == at_once.hits()
-    assert sum(runs for _, runs in found.hits()) == plan.collision_runs
+    assert found.contact_rate.counts == at_once.contact_rate.counts
+    assert sum(runs for _, runs in found.contact_rate.counts) == plan.collision_runs
     # The figures are the same; only the confidence of the intervals by φ is higher, and at each look.
     one, other = found.as_dict(), at_once.as_dict()
     for name in ("deviation", "deviation_ci95_trials", "contact_rate", "contact_rate_ci95_runs", "safe"):

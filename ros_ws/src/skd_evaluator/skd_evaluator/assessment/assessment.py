@@ -17,7 +17,7 @@ from skd_evaluator.assessment.episode_figures import Surrogates, lane_left, surr
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, Of, entries, figures_html
 from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.metrics.clustered import Clustered, GroupedMean, clustered_rate
+from skd_evaluator.metrics.clustered import GroupedMean, GroupedRate
 from skd_evaluator.metrics.deviation import deviation_pairs, mean_deviation
 from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins, ReferenceMargin, optimality_gap
 from skd_evaluator.metrics.measures import Pair, measure_pairs, pair_of
@@ -148,21 +148,11 @@ class ObjectiveResult:
         """Per φ, the kamikaze episodes that reached what they planned for (`Plan.succeeds`)."""
         return [sum(map(self.plan.succeeds, kamikaze.logs)) for kamikaze in self.kamikaze]
 
-    @property
-    def successes(self) -> int:
-        """Kamikaze episodes that reached what they planned for (`Plan.succeeds`)."""
-        return sum(self.successes_by_phi)
-
-    @property
-    def success_rate(self) -> float | None:
-        """Share of the kamikaze episodes that ended in a collision; None where none was run."""
-        return self.successes / self.trials if self.trials else None
-
-    @property
-    def clustered_success_rate(self) -> Clustered | None:
-        """The success rate with what its error over φ is."""
-        counts = zip(self.successes_by_phi, (len(group.finished) for group in self.kamikaze), strict=True)
-        return clustered_rate(list(counts), self.confidence)
+    @cached_property
+    def success_rate(self) -> GroupedRate:
+        """Share of the kamikaze episodes that reached what they planned for."""
+        trials = (len(group.finished) for group in self.kamikaze)
+        return GroupedRate(list(zip(self.successes_by_phi, trials, strict=True)), self.confidence)
 
     @property
     def reasons(self) -> list[str]:
@@ -187,7 +177,7 @@ class ObjectiveResult:
             "deviation": self.deviation.clustered,
             "skd": self.skd.distances.clustered,
             "skd_prefix": self.skd.prefixes.clustered,
-            "success_rate": self.clustered_success_rate,
+            "success_rate": self.success_rate.clustered,
         }
         return {name: one and one.as_dict() for name, one in found.items()}
 
@@ -305,21 +295,25 @@ class Assessment:
         return found[first_of(preferred, found)]
 
     @property
+    def _by_objective(self) -> list[tuple[EpisodeLog, str]]:
+        """All episodes, kamikazes with their objective, then those along φ; aborted ones included."""
+        named = [(str(one.plan.objective), group.episodes) for one in self.results for group in one.kamikaze]
+        return [(log, name) for name, logs in (*named, ("", self.nominal_runs)) for log in logs]
+
+    @property
     def episodes(self) -> int:
         """Episodes run, kamikaze and along φ, aborted ones included."""
-        return sum(len(group.episodes) for one in self.results for group in one.kamikaze) + len(self.nominal_runs)
+        return len(self._by_objective)
 
     @property
     def reasons(self) -> list[str]:
         """Why episodes were aborted, one each."""
-        of_runs = [log.reason for log in self.nominal_runs if log.outcome == Outcome.ABORTED]
-        return [*(reason for one in self.results for reason in one.reasons), *of_runs]
+        return [log.reason for log, _ in self._by_objective if log.outcome == Outcome.ABORTED]
 
     @property
     def clipped(self) -> list[int]:
         """Per episode in which the car was commanded more than it can do, how often."""
-        of_kamikazes = [log for one in self.results for group in one.kamikaze for log in group.episodes]
-        return [log.clipped for log in (*of_kamikazes, *self.nominal_runs) if log.clipped]
+        return [log.clipped for log, _ in self._by_objective if log.clipped]
 
     @property
     def kamikaze_logs(self) -> list[EpisodeLog]:
@@ -331,19 +325,21 @@ class Assessment:
         """Episodes that ran to their end, and those along φ that did not."""
         return [*self.kamikaze_logs, *self.nominal_runs]
 
-    def hits(self) -> list[tuple[int, int]]:
-        """Return for each safe trajectory how many runs along it ended in a collision, and how many there were.
+    @cached_property
+    def contact_rate(self) -> GroupedRate:
+        """Share of the runs along φ that ended in a collision."""
+        return self._rate_along_phi(lambda log: log.outcome == Outcome.COLLISION)
+
+    @cached_property
+    def nominal_collision_rate(self) -> GroupedRate:
+        """Share of the runs along φ that the moving car hit."""
+        return self._rate_along_phi(lambda log: log.hit)
+
+    def _rate_along_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> GroupedRate:
+        """Return the share of the runs along φ that count.
 
         Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
         """
-        return self._per_phi(lambda log: log.outcome == Outcome.COLLISION)
-
-    def moving_hits(self) -> list[tuple[int, int]]:
-        """Return for each safe trajectory how many runs along it the moving car hit, and how many there were."""
-        return self._per_phi(lambda log: log.hit)
-
-    def _per_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> list[tuple[int, int]]:
-        """Return for each safe trajectory how many runs along it count, and how many there were; see `hits`."""
         counts: dict[bytes, dict[int, list[int]]] = {}
         for log in self.nominal_runs:
             along = log.episode.safe_trajectory
@@ -357,7 +353,7 @@ class Assessment:
         for one in self.safe:
             left = alike.get(one.positions.tobytes())
             hits.append(left.pop(0) if left else (0, 0))
-        return [(hit, runs) for hit, runs in hits]
+        return GroupedRate([(hit, runs) for hit, runs in hits], self.confidence)
 
     def optimality_gap(self) -> tuple[float | None, Interval | None]:
         """Return how many times the margin the kamikazes that rank the car needed, in the same trials."""
@@ -369,10 +365,7 @@ class Assessment:
     @cached_property
     def surrogates(self) -> Surrogates:
         """The surrogate safety measures of all episodes, in the order of episodes.npz."""
-        kamikazes = [
-            (log, str(one.plan.objective)) for one in self.results for group in one.kamikaze for log in group.episodes
-        ]
-        return surrogates_of(self.plan.scenario, [*kamikazes, *((log, "") for log in self.nominal_runs)])
+        return surrogates_of(self.plan.scenario, self._by_objective)
 
     @property
     def vulnerability(self) -> Vulnerability | None:
@@ -382,40 +375,10 @@ class Assessment:
             return None
         return Vulnerability(planned, self.budgets, None if self.margins is None else self.margins.curve)
 
-    @property
-    def completed_runs(self) -> int:
-        """Runs along φ that were not aborted."""
-        return sum(log.outcome != Outcome.ABORTED for log in self.nominal_runs)
-
-    @property
-    def collisions(self) -> int:
-        """Runs along φ that ended in a collision."""
-        return sum(log.outcome == Outcome.COLLISION for log in self.nominal_runs)
-
-    @property
-    def clustered_contact_rate(self) -> Clustered | None:
-        """The contact rate with what its error over φ is."""
-        return clustered_rate(self.hits(), self.confidence)
-
-    @property
-    def clustered_nominal_rate(self) -> Clustered | None:
-        """The nominal collision rate with what its error over φ is."""
-        return clustered_rate(self.moving_hits(), self.confidence)
-
-    @property
-    def nominal_collision_rate(self) -> float | None:
-        """Share of the runs along φ that the moving car hit."""
-        return sum(log.hit for log in self.nominal_runs) / self.completed_runs if self.completed_runs else None
-
     @cached_property
     def lanes_left(self) -> tuple[float, float] | None:
         """In which share of the runs along φ the car leaves its lane, and for how long, s; None: in none."""
         return lanes_left([*map(lane_left, self.nominal_runs)])
-
-    @property
-    def contact_rate(self) -> float | None:
-        """Share of the runs along φ that ended in a collision."""
-        return self.collisions / self.completed_runs if self.completed_runs else None
 
     @property
     def credible(self) -> bool:
@@ -443,7 +406,7 @@ class Assessment:
     def clustering(self) -> dict[str, Any]:
         """Return what is known of the error over φ of each figure at the top, by its key."""
         parts = {Of.RANKING: self.for_deviation.clustering(), Of.SKD: self.for_skd.clustering()}
-        clustered = self.clustered_contact_rate
+        clustered = self.contact_rate.clustered
         parts[Of.CAR] = {"contact_rate": clustered and clustered.as_dict()}
         return {one.key: parts[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered}
 
@@ -460,7 +423,7 @@ class Assessment:
             self.objectives[str(one.plan.objective)]["per_safe_trajectory"]
             for one in (self.for_skd, self.for_deviation)
         )
-        rows = zip(of_skd, of_deviation, self.hits(), strict=True)
+        rows = zip(of_skd, of_deviation, self.contact_rate.counts, strict=True)
         return [
             {
                 **skd,

@@ -17,10 +17,8 @@ from skd_sim.options.options import further_options
 from skd_sim.world.episode import counted_reasons
 
 from skd_evaluator.assessment.episode_figures import closing_speed, command_age, simulator_contacts, standing_contacts
-from skd_evaluator.metrics.clustered import Clustered
 from skd_evaluator.metrics.entry import Schema, or_null, ref
 from skd_evaluator.metrics.margins import equivalent_entries
-from skd_evaluator.metrics.statistics import Interval, wilson_interval
 from skd_evaluator.version import version
 
 Value = Callable[[Any], Any]
@@ -198,14 +196,10 @@ _MARGIN, _DEVIATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD,
 _RISK, _PRICE = Of.RISK, Of.PRICE
 _MORE, _LESS = Better.MORE, Better.LESS
 _RATE: dict[str, Any] = {
-    "by_phi": lambda o: _interval(o.clustered_success_rate),
+    "by_phi": lambda o: o.success_rate.interval,
     "independent": "ci95_trials",
-    "plain": lambda o: wilson_interval(o.successes, o.trials),
+    "plain": lambda o: o.success_rate.plain_interval,
 }
-
-
-def _interval(found: Clustered | None) -> Interval | None:
-    return found.interval if found else None
 
 
 def _risk(scale: float) -> dict[str, Any]:
@@ -313,7 +307,7 @@ FIGURES = (
            "mean deviation of the trials that the moving car hit, m", _DEVIATION, independent=CI95,
            plain=lambda o: o.of_successes.plain_interval, better=_MORE, bare=True, per_phi=True, campaign=10,
            sweep=3),
-    Figure("deviation_success_rate", SHARE, lambda o: o.success_rate,
+    Figure("deviation_success_rate", SHARE, lambda o: o.success_rate.value,
            "success rate of the kamikazes whose deviation is reported",
            _DEVIATION, better=_LESS, **_RATE, bare=True, source="success_rate",
            clustered=True, campaign=11, sweep=4, compare=16),
@@ -368,7 +362,7 @@ FIGURES = (
            "η (m) → Theorem 1's upper bound of P(distance ≤ η) by these kamikazes", _SKD),
     Figure("probability_bound_ci95", _each(INTERVAL.schema), lambda o: o.bound_intervals(),
            "95 % interval of each over φ", _SKD),
-    Figure("kamikaze_success_rate", SHARE, lambda o: o.success_rate,
+    Figure("kamikaze_success_rate", SHARE, lambda o: o.success_rate.value,
            "success rate of the kamikazes whose SKD is reported", _SKD,
            "of the trials of SKD collide", _LESS, **_RATE, bare=True,
            source="success_rate", clustered=True, summary=10, campaign=19, sweep=10, compare=20),
@@ -376,11 +370,11 @@ FIGURES = (
            source="trials"),
     Figure("kamikaze_aborted", COUNT, lambda o: len(o.reasons), "kamikaze episodes that were aborted", _SKD,
            source="aborted"),
-    Figure("success_rate", SHARE, lambda o: o.success_rate,
+    Figure("success_rate", SHARE, lambda o: o.success_rate.value,
            "share of the trials that reached what they planned for: a hit, or a collision", _OBJECTIVE,
            **_RATE, better=_LESS, clustered=True),
     Figure("trials", COUNT, lambda o: o.trials, "kamikaze episodes, aborted ones left out", _OBJECTIVE),
-    Figure("failed", COUNT, lambda o: o.trials - o.successes, "trials that did not reach what they planned for",
+    Figure("failed", COUNT, lambda o: o.trials - o.success_rate.hits, "trials that did not reach what they planned for",
            _OBJECTIVE),
     Figure("aborted", COUNT, lambda o: len(o.reasons), "kamikaze episodes that were aborted", _OBJECTIVE),
     Figure("mean_impact_speed", SPEED, lambda o: o.mean_of(lambda log: log.impact_speed),
@@ -405,13 +399,13 @@ FIGURES = (
     Figure("command_age", Kind(or_null(ref("command_age"))), lambda a: command_age(a.logs),
            "of episodes through the graph: wall time (s) from a command to its use, or from a state to its answer",
            recomputed=False),
-    Figure("nominal_collision_rate", SHARE, lambda a: a.nominal_collision_rate,
-           "share of the runs along φ that the moving car hit", by_phi=lambda a: _interval(a.clustered_nominal_rate),
+    Figure("nominal_collision_rate", SHARE, lambda a: a.nominal_collision_rate.value,
+           "share of the runs along φ that the moving car hit", by_phi=lambda a: a.nominal_collision_rate.interval,
            label="nominal collision rate", better=_LESS, summary=2, first=True, chart=2, difference=5, campaign=8,
            compare=12, junit=4),
-    Figure("contact_rate", SHARE, lambda a: a.contact_rate, "share of the runs along φ that ended in a collision",
-           by_phi=lambda a: _interval(a.clustered_contact_rate), independent="ci95_runs",
-           plain=lambda a: wilson_interval(a.collisions, a.completed_runs), label="contact rate along φ, any touch",
+    Figure("contact_rate", SHARE, lambda a: a.contact_rate.value, "share of the runs along φ that ended in a collision",
+           by_phi=lambda a: a.contact_rate.interval, independent="ci95_runs",
+           plain=lambda a: a.contact_rate.plain_interval, label="contact rate along φ, any touch",
            better=_LESS, clustered=True, summary=11, difference=6, campaign=14, sweep=11, compare=18, junit=9),
     Figure("clustering", Kind(ref("clusterings")), lambda a: a.clustering(),
            "what the intervals over φ are made of, by figure"),
@@ -419,7 +413,7 @@ FIGURES = (
            "what the intervals over φ are made of, by figure", _OBJECTIVE),
     Figure("until_width", Kind(or_null(ref("until_width"))), lambda a: a.until_width and a.until_width.as_dict(),
            "sequential stopping; null: not requested", recomputed=False),
-    Figure("collision_runs", COUNT, lambda a: a.completed_runs, "runs along φ, aborted ones left out"),
+    Figure("collision_runs", COUNT, lambda a: a.contact_rate.trials, "runs along φ, aborted ones left out"),
     Figure("lane_left", SHARE, lambda a: (a.lanes_left or (None,))[0],
            "share of the runs along φ in which a corner of the car is beyond its lane; missing: in none",
            label="leaves its lane along φ", details=10, optional=True),

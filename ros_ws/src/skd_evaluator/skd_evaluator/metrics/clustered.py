@@ -41,6 +41,7 @@ from skd_evaluator.metrics.statistics import (
     plain_numbers,
     sample_variance,
     score_interval,
+    wilson_interval,
 )
 
 FEW = 5
@@ -314,6 +315,49 @@ class GroupedMean:
     @property
     def interval(self) -> Interval | None:
         """Interval of the mean over φ; None where fewer than two φ have values."""
+        return self.clustered.interval if self.clustered else None
+
+
+@dataclass(frozen=True, eq=False)
+class GroupedRate:
+    """A share of trials that come by φ, with its intervals.
+
+    Attributes:
+        counts: for each φ how many of its trials count, and how many there are.
+        confidence: confidence of the interval over φ; that over trials has 95 %.
+    """
+
+    counts: Sequence[tuple[int, int]]
+    confidence: float = 0.95
+
+    @property
+    def hits(self) -> int:
+        """Trials that count."""
+        return sum(hits for hits, _ in self.counts)
+
+    @property
+    def trials(self) -> int:
+        """All trials."""
+        return sum(trials for _, trials in self.counts)
+
+    @property
+    def value(self) -> float | None:
+        """The share; None without a trial."""
+        return self.hits / self.trials if self.trials else None
+
+    @property
+    def plain_interval(self) -> Interval | None:
+        """Wilson's 95 % interval, trials taken as independent; None without a trial."""
+        return wilson_interval(self.hits, self.trials)
+
+    @cached_property
+    def clustered(self) -> Clustered | None:
+        """The share with what its error over φ is; None without a trial."""
+        return clustered_rate(self.counts, self.confidence)
+
+    @property
+    def interval(self) -> Interval | None:
+        """Interval of it over φ; None where fewer than two φ have trials."""
         return self.clustered.interval if self.clustered else None
 
 

@@ -208,8 +208,8 @@ def groups_of(assessment: Assessment) -> dict[str, tuple[FloatArray, ...]]:
         "skd": of_skd.skd.distances.groups,
         "skd_prefix": of_skd.skd.prefixes.groups,
         "kamikaze_success_rate": _successes(of_skd),
-        "nominal_collision_rate": _shares(assessment.moving_hits()),
-        "contact_rate": _shares(assessment.hits()),
+        "nominal_collision_rate": _shares(assessment.nominal_collision_rate.counts),
+        "contact_rate": _shares(assessment.contact_rate.counts),
         **{f"risk_{one.scale:g}": one.groups for one in (risks.scales if risks else ()) if one.value is not None},
     }
 
