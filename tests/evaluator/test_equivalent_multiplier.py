@@ -104,11 +104,11 @@ def test_the_area_above_is_the_restricted_mean(groups):
 def test_the_curve_is_the_empirical_distribution_and_the_bound_is_above_it(groups, eta):
     curve = vulnerability_curve(groups, ETA_MAX)
     values = np.concatenate(groups)
-    assert curve.probability(eta) == pytest.approx(np.mean(values <= (eta or 1e-10)))
-    assert curve.interval(eta) == wilson_interval(int(np.sum(values <= (eta or 1e-10))), len(values))
-    assert curve.bound(eta) >= curve.probability(eta) - 1e-12
+    assert curve.probability(eta).value == pytest.approx(np.mean(values <= (eta or 1e-10)))
+    assert curve.probability(eta).plain_interval == wilson_interval(int(np.sum(values <= (eta or 1e-10))), len(values))
+    assert curve.bound(eta) >= curve.probability(eta).value - 1e-12
     assert curve.bound(eta) >= curve.cantelli(eta) - 1e-12
-    assert curve.cantelli(eta) >= curve.probability(eta) - 1e-12
+    assert curve.cantelli(eta) >= curve.probability(eta).value - 1e-12
 
 
 def test_what_json_holds_is_whole():

@@ -46,7 +46,7 @@ def test_by_hand():
     assert (found.values.size, found.beyond) == (6, 1)
     assert found.mean == pytest.approx((0 + 1 + 5 + 0 + 2 + 5) / 6)
     curve = found.curve.as_dict()
-    assert found.curve.probability(0.0) == pytest.approx(2 / 6)
+    assert found.curve.probability(0.0).value == pytest.approx(2 / 6)
     assert curve["steps"]["eta"] == [0.0, 1.0, 2.0]
     np.testing.assert_allclose(curve["steps"]["probability"], [2 / 6, 3 / 6, 4 / 6])
     assert json.loads(json.dumps(curve, allow_nan=False))["area_above"] == found.curve.area_above

@@ -19,7 +19,7 @@ import numpy as np
 from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import FloatArray, IntArray
 
-from skd_evaluator.metrics.clustered import clustered_mean, clustered_rate, student_quantile
+from skd_evaluator.metrics.clustered import GroupedMean, GroupedRate, student_quantile
 from skd_evaluator.metrics.entry import Entry, Share
 from skd_evaluator.metrics.statistics import Interval, mean, wilson_interval
 
@@ -169,10 +169,8 @@ class ScaleRisk(Entry):
         if self.lost:
             return None
         if self.subsets is None:
-            found = clustered_rate(self.counts, self.confidence)
-            return found.interval if found else None
-        by_phi = clustered_mean(self.groups, self.confidence, limits=(0.0, 1.0))
-        return by_phi.interval if by_phi else None
+            return GroupedRate(self.counts, self.confidence).interval
+        return GroupedMean(self.groups, limits=(0.0, 1.0), confidence=self.confidence).interval
 
     @property
     def method(self) -> str:
