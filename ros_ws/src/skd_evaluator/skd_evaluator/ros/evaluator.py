@@ -19,7 +19,6 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from skd_adversary.ros.adversary_node import GraphAdversary
@@ -101,27 +100,12 @@ def assessment_to_message(assessment: Assessment, campaign: str, stamp: int) -> 
 class Composed:
     """Simulator and adversary as objects of the evaluator's process, which speak through its node."""
 
-    def __init__(
-        self,
-        node: Node,
-        options: GraphOptions,
-        on_frame: Callable[[int, Frame], None],
-        on_result: Callable[[Any], None],
-        on_problem: Callable[[AbortKind, str], None],
-    ) -> None:
-        """Make both.
-
-        Args:
-            node: the evaluator.
-            options: how the graph is run.
-            on_frame: called with each state and its stamp (ns).
-            on_result: called with the result of each episode.
-            on_problem: called with why the episode cannot go on.
-        """
-        self._on_frame, self._on_result, self._on_problem = on_frame, on_result, on_problem
-        self._simulator = GraphSimulator(node, NamedSimulator(), options.simulator_parameters(), alone=False)
+    def __init__(self, evaluator: Evaluator, options: GraphOptions) -> None:
+        """Make both; the evaluator hears each state, the result of each episode, and why it cannot go on."""
+        self._evaluator = evaluator
+        self._simulator = GraphSimulator(evaluator, NamedSimulator(), options.simulator_parameters(), alone=False)
         self._simulator.on_frame, self._simulator.on_result = self._hear_frame, self._hear_result
-        self._adversary = GraphAdversary(node)
+        self._adversary = GraphAdversary(evaluator)
         self._due: tuple[int, int, CarState] | None = None
 
     def begin(self, episode: EpisodeSpec, message: EpisodeMsg) -> None:
@@ -149,16 +133,16 @@ class Composed:
 
     def _fail(self, error: Exception) -> None:
         said = str(error).partition("\n")[0]
-        self._on_problem(AbortKind.FAILED, f"adversary: {type(error).__name__}: {said}")
+        self._evaluator.refuse(AbortKind.FAILED, f"adversary: {type(error).__name__}: {said}")
 
     def _hear_frame(self, stamp: int, frame: Frame) -> None:
-        self._on_frame(stamp, frame)
+        self._evaluator.hear_frame(stamp, frame)
         if not frame.period and frame.outcome == Outcome.RUNNING:  # the car decides in between, the adversary does not
             self._due = frame.tick, stamp, frame.car
 
     def _hear_result(self, result: Any) -> None:
         self._due = None  # the last state needs no answer
-        self._on_result(result)
+        self._evaluator.hear_result(result)
 
 
 _PLAIN = CommandOptions()
@@ -208,9 +192,7 @@ class Evaluator(support.GraphNode):
         self._assessment_publisher = self.create_publisher(AssessmentMsg, support.Topic.ASSESSMENT, support.LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, support.Topic.MARKERS, support.LATCHED)
         self._figures, self._health = LiveFigures(self), Health(self)
-        self._composed: Composed | None = None
-        if composed is not None:
-            self._composed = Composed(self, composed, self._on_frame, self._on_result, self._refuse)
+        self._composed = None if composed is None else Composed(self, composed)
 
     def begin_campaign(
         self,
@@ -259,7 +241,7 @@ class Evaluator(support.GraphNode):
             self.resolve_topic_name, (commands.command_topic, support.Topic.VELOCITY_COMMAND)
         )
         if self._composed is None:
-            self._listen(support.Topic.EPISODE_RESULT, EpisodeResult, self._on_result)
+            self._listen(support.Topic.EPISODE_RESULT, EpisodeResult, self.hear_result)
         self._first_commands = FirstCommands(
             self,
             Awaited(self._drive_topic, kind_name(driven.kind)),
@@ -311,7 +293,8 @@ class Evaluator(support.GraphNode):
 
     # --- what comes in
 
-    def _on_frame(self, stamp: int, frame: Frame) -> None:
+    def hear_frame(self, stamp: int, frame: Frame) -> None:
+        """Take a state of this process's simulator, with its stamp (ns)."""
         self._heard = time.monotonic()
         self._add(stamp, frame.adversary)
         self._add(stamp, frame.car)
@@ -341,11 +324,12 @@ class Evaluator(support.GraphNode):
         if isinstance(state, CarState) and self._marker_publisher.get_subscription_count():
             self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
 
-    def _on_result(self, message: EpisodeResult) -> None:
+    def hear_result(self, message: EpisodeResult) -> None:
+        """Take the result of an episode."""
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
             result, most = result_from_message(message), self._episode.scenario.ticks
             if result.ticks > most:
-                self._refuse(AbortKind.REFUTED, f"its result has {result.ticks} ticks of at most {most}")
+                self.refuse(AbortKind.REFUTED, f"its result has {result.ticks} ticks of at most {most}")
             elif self._result is None:
                 self._result = result, from_stamp(message.header.stamp)
                 self._ended = time.monotonic()
@@ -359,9 +343,10 @@ class Evaluator(support.GraphNode):
 
     def give_up(self, reason: str) -> None:
         """Abort the running episode, whose end is not waited for; to be called while it waits."""
-        self._refuse(AbortKind.OTHER, reason)
+        self.refuse(AbortKind.OTHER, reason)
 
-    def _refuse(self, kind: AbortKind, why: str) -> None:
+    def refuse(self, kind: AbortKind, why: str) -> None:
+        """Abort the running episode."""
         self._refused = self._refused or abort_reason(kind, why)
 
     # --- episodes

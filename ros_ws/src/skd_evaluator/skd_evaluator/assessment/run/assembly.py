@@ -70,18 +70,9 @@ class Samples:
     def log(self, episode: EpisodeSpec, start: int, result: EpisodeEnd) -> EpisodeLog:
         """Return the log of an episode that started at `start` (ns); its states must all have come."""
         needed = stamps(episode, start, result)
-        return EpisodeLog(
-            episode,
-            result.outcome,
-            np.array([self.adversary[stamp] for stamp in needed]),
-            np.array([self.car[stamp] for stamp in needed]),
-            result.impact_time,
-            result.impact_speed,
-            reason=result.reason,
-            clipped=result.clipped,
-            timing=result.timing,
-            commands=result.commands,
-        )
+        adversary, car = (np.array([states[stamp] for stamp in needed]) for states in (self.adversary, self.car))
+        said = {name: value for name, value in vars(result).items() if name != "ticks"}
+        return EpisodeLog(episode, adversary=adversary, car=car, **said)
 
     def clear(self) -> None:
         """Forget everything."""
