@@ -22,7 +22,7 @@ from skd_evaluator.metrics.surrogate_measures import episode_measures
 from skd_evaluator.metrics.surrogate_scenes import course_of
 from skd_evaluator.report.episode_pictures import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.formats import KeptFailure, kept_failures
-from skd_evaluator.report.html.subjects import Subject, believed_car, chosen_episodes, read_one
+from skd_evaluator.report.html.subjects import Subject, believed_car, chosen_episodes, episode_entry, read_one
 from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossing
 
 
@@ -143,19 +143,9 @@ def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:
 
 
 def _entry(subject: Subject, number: int, name: str, kept: Sequence[KeptFailure]) -> dict[str, Any]:
-    episodes = subject.episodes
-    hit = bool(episodes.collided[number])
-    return {
-        "file": name,
-        "title": _title(subject, number, kept).replace(":\n", ", ").replace("\n", ": "),
-        "episode_id": int(episodes.episode_id[number]),
-        "mode": Mode(int(episodes.mode[number])).name.lower(),
-        "objective": str(episodes.objective[number]),
-        "outcome": Outcome(int(episodes.outcome[number])).name.lower(),
-        "deviation": float(episodes.deviation[number]) if hit else None,
-        "impact_speed": float(episodes.impact_speed[number]) if hit else None,
-        **({"failure": asdict(kept[number])} if kept else {}),
-    }
+    title = _title(subject, number, kept).replace(":\n", ", ").replace("\n", ": ")
+    failure = {"failure": asdict(kept[number])} if kept else {}
+    return {"file": name, "title": title, **episode_entry(subject, number), **failure}
 
 
 def _command(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> list[str]:

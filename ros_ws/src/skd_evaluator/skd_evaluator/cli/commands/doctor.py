@@ -87,11 +87,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def findings(*, round_trip: bool = True) -> Iterator[Finding]:
     """Yield what is found, one thing after another; with `round_trip` nodes of ROS 2 are started."""
+    from skd_sim.kernels.compilation import cache_folder
+
     yield Finding("skd", FINE, f"{version()}, Python {platform.python_version()} in {sys.prefix}")
-    yield _packages()
+    if missing := [name for name in PACKAGES if importlib.util.find_spec(name) is None]:
+        yield Finding("packages", BROKEN, f"{', '.join(missing)} cannot be imported", environment(missing))
+    else:
+        yield Finding("packages", FINE, ", ".join(f"{name} {_version(name)}" for name in PACKAGES))
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield Finding("processors", FINE, f"{cores}, which --workers uses by default")
-    yield _kernels()
+    folder = cache_folder()
+    count = len(list(folder.glob("*.kernel")))
+    compiled = f"{count} compiled ones are kept in {folder}" if count else "the next run compiles them, for a minute"
+    yield Finding("kernels", FINE, compiled)
     for name, use in _TOOLS.items():
         where = shutil.which(name)
         yield Finding(name, FINE, str(where)) if where else Finding(name, ABSENT, f"not installed; for {use}")
@@ -103,28 +111,11 @@ def findings(*, round_trip: bool = True) -> Iterator[Finding]:
     yield from _ros(round_trip=round_trip)
 
 
-def _packages() -> Finding:
-    missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
-    if missing:
-        return Finding("packages", BROKEN, f"{', '.join(missing)} cannot be imported", environment(missing))
-    return Finding("packages", FINE, ", ".join(f"{name} {_version(name)}" for name in PACKAGES))
-
-
 def _version(module: str) -> str:
     try:
         return version_of(_DISTRIBUTIONS.get(module, module))
     except PackageNotFoundError:
         return "?"
-
-
-def _kernels() -> Finding:
-    """Return whether compiled kernels can be kept, and how many are."""
-    from skd_sim.kernels.compilation import cache_folder
-
-    folder = cache_folder()
-    count = len(list(folder.glob("*.kernel")))
-    text = f"{count} compiled ones are kept in {folder}" if count else "the next run compiles them, for a minute"
-    return Finding("kernels", FINE, text)
 
 
 def _ros(*, round_trip: bool, ask: Callable[[], dict[str, Any]] | None = None) -> Iterator[Finding]:

@@ -54,8 +54,8 @@ def add(parser: Parser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code: 1 where an episode was aborted."""
     from skd_evaluator.assessment.files.results import episode_summary
-    from skd_evaluator.driving.drive import Controls
-    from skd_evaluator.driving.screen import Lines, can_draw
+    from skd_evaluator.driving.drive import Controls, reading_keys
+    from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing
     from skd_evaluator.report.presentation import episode_line
     from skd_evaluator.ros.session import prepare_ros
 
@@ -71,7 +71,10 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with ExitStack() as stack:
             if watched:
-                screen = stack.enter_context(_on_terminal(plan, options, controls, by_keys=episodes.by_keys))
+                keys = KEYS if episodes.by_keys else KEYS_OF_ONLOOKER
+                screen = Screen(one_line(options.controller_command or plan.car.label), keys)
+                stack.enter_context(reading_keys(controls.press))
+                stack.enter_context(drawing(screen))
 
                 def hold(line: str) -> None:  # nothing is printed into a picture
                     screen.waiting = one_line(line)
@@ -149,17 +152,6 @@ def _plan_and_graph(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     scenario = check_car({**values, **both_ways}, plan.scenario, graph=arguments.graph)
     values |= {"pacing": REAL_TIME, "slip_limit": _LENIENT, "quiet_time": None}  # the wall clock does not wait
     return replace(plan, scenario=scenario), GraphOptions(**values_of(GraphOptions, values))
-
-
-@contextmanager
-def _on_terminal(plan: Plan, options: GraphOptions, controls: Controls, *, by_keys: bool) -> Iterator[Screen]:
-    """Draw on the terminal and read its keys, as long as this lasts."""
-    from skd_evaluator.driving.drive import reading_keys
-    from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Screen, drawing
-
-    screen = Screen(one_line(options.controller_command or plan.car.label), KEYS if by_keys else KEYS_OF_ONLOOKER)
-    with reading_keys(controls.press), drawing(screen):
-        yield screen
 
 
 @contextmanager

@@ -27,7 +27,7 @@ from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, EXPORT, ROAD
 from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario, write_road
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, course_of
 from skd_evaluator.report.formats import counted
-from skd_evaluator.report.html.subjects import Subject, chosen_episodes, read_one
+from skd_evaluator.report.html.subjects import Subject, chosen_episodes, episode_entry, read_one
 from skd_evaluator.report.repeat import SCENARIO_FILE, TRAJECTORY_FILE
 from skd_evaluator.version import version
 
@@ -192,24 +192,17 @@ def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool
     course = course_of(scenario, episodes.adversary[number], episodes.car[number], contact)
     actors, duration = scene.actors_of(scenario, course, with_car=True), float(course.times[-1])
     x, y, heading, speed = actors[0].states[0].tolist()
-    index, id_, objective = (one[number] for one in (episodes.safe_index, episodes.episode_id, episodes.objective))
-    name, outcome = _name(subject, int(index)), Outcome(int(episodes.outcome[number])).name.lower()
+    entry, index = episode_entry(subject, number), int(episodes.safe_index[number])
+    id_, objective, name = entry["episode_id"], entry["objective"], _name(subject, index)
     who = f"kamikaze of objective {objective}" if objective else "run along φ"
-    title = one_line(f"SKD: {who}, episode {id_}, φ {index} ({name}) of {scenario.name}, {subject.label}: {outcome}")
+    of = f"φ {index} ({name}) of {scenario.name}, {subject.label}"
+    title = one_line(f"SKD: {who}, episode {id_}, {of}: {entry['outcome']}")
     about = {
-        "mode": Mode(int(episodes.mode[number])).name.lower(),
-        "phi": int(index),
-        "phi_name": name,
-        "title": title,
-        "episode_id": int(id_),
-        "objective": str(objective),
-        "outcome": outcome,
+        **{"phi": index, "phi_name": name, "title": title, **entry},
         "impact_time": float(episodes.impact_time[number]) if hit else None,
-        "impact_speed": float(episodes.impact_speed[number]) if hit else None,
         "contact": episodes.until_contact(number)[-1].tolist() if hit else None,
-        "deviation": float(episodes.deviation[number]) if hit else None,
     }
-    stem = f"kamikaze_{re.sub(r'[^A-Za-z0-9_]', '-', str(objective))}_{id_}" if objective else f"along_{id_}"
+    stem = f"kamikaze_{re.sub(r'[^A-Za-z0-9_]', '-', objective)}_{id_}" if objective else f"along_{id_}"
     start, shown = (x, y, heading, speed), actors if with_car else actors[1:]
     return ExportedEpisode(stem, title, scenario, shown, start, duration, _date(subject), whole_ticks, about)
 

@@ -21,7 +21,7 @@ from skd_sim.inputs.files import read_json, real_path
 from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Outcome
+from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import FloatArray
 
 from skd_evaluator.assessment.assessment import Assessment
@@ -278,6 +278,19 @@ def chosen_episodes(
     if not found:
         raise UsageError(f"{subject.folder}: holds no episode of that kind: every one was aborted, or none was run")
     return found
+
+
+def episode_entry(subject: Subject, number: int) -> dict[str, Any]:
+    """Return what files say of an episode: which it is, how it ended, and figures of its contact."""
+    stored = subject.episodes
+    hit = bool(stored.collided[number])
+    return {
+        "episode_id": int(stored.episode_id[number]),
+        "mode": Mode(int(stored.mode[number])).name.lower(),
+        "objective": str(stored.objective[number]),
+        "outcome": Outcome(int(stored.outcome[number])).name.lower(),
+        **{key: float(getattr(stored, key)[number]) if hit else None for key in ("deviation", "impact_speed")},
+    }
 
 
 def worst_first(subjects: Sequence[Subject]) -> list[tuple[int, int]]:
