@@ -365,11 +365,6 @@ def floor_of(risks: Sequence[tuple[float, float, float]]) -> float:
     return float(10.0 ** (math.ceil(math.log10(max(LEAST, min(known, default=0.1))) - 1e-9) - 1))
 
 
-def one_model(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether the risks of two results are of one behaviour model."""
-    return bool(one["risk"]["behaviour"] == other["risk"]["behaviour"])
-
-
 def has_price(figures: Mapping[str, Any]) -> bool:
     """Return whether a result has a margin, and a price of caution."""
     return figures["margin"] is not None and figures.get("price_of_caution") is not None
@@ -422,7 +417,8 @@ def save_comparison(folder: Path, results: Mapping[str, StoredResult], ranked_by
     same = by_margin and all(
         first.figures["eta_max"] == one.figures["eta_max"] and first.same_safe(one.safe) for one in results.values()
     )
-    if same and all(has_risks(one.figures) and one_model(first.figures, one.figures) for one in cars):
+    rated = same and all(has_risks(one.figures) for one in cars)
+    if rated and all(one.figures["risk"]["behaviour"] == first.figures["risk"]["behaviour"] for one in cars):
         title = "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below"
         save_charts(folder / "rating.png", [rating_chart(cars, scale) for scale in SCALES], title)
     if same and all(has_price(one.figures) for one in cars):

@@ -398,14 +398,11 @@ def save_episode(path: Path, shown: ShownEpisode) -> None:
         return
     picture.figure.draw_without_rendering()
     picture.figure.set_layout_engine("none")  # it takes most of the time of a frame, and has done its work
-    film = FuncAnimation(picture.figure, picture.set, _times(float(shown.times[-1])), cache_frame_data=False)
+    end = float(shown.times[-1])
+    moving = np.linspace(0.0, end, max(2, round(end * _SLOWER * _RATE) + 1)).tolist()
+    times = [*moving, *[end] * round(_HELD * _RATE)]
+    film = FuncAnimation(picture.figure, picture.set, times, cache_frame_data=False)
     try:
         film.save(path, writer="pillow" if path.suffix == ".gif" else "ffmpeg", fps=_RATE, dpi=_FILM_DPI)
     except subprocess.CalledProcessError as error:
         raise OSError(f"ffmpeg: cannot write {path.name}") from error
-
-
-def _times(end: float) -> list[float]:
-    """Return the times (s) of the pictures of a film."""
-    count = max(2, round(end * _SLOWER * _RATE) + 1)
-    return [*np.linspace(0.0, end, count).tolist(), *[end] * round(_HELD * _RATE)]

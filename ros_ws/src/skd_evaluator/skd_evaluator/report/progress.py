@@ -9,16 +9,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from rich import progress as shown_progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.text import Text
 from skd_sim.kernels.compilation import on_compiling
 
@@ -42,7 +34,12 @@ def progress_bar(*, quiet: bool = False, steps: Sequence[str] = ()) -> Iterator[
     if quiet:
         yield lambda _label, _done, _total: None
         return
-    numbered = _Numbered(steps)
+
+    def numbered(label: str) -> str:
+        """Return a label with the number of its step before it."""
+        found = [number for number, step in enumerate(steps, start=1) if label.startswith(step)]
+        return f"step {found[0]} of {len(steps)}: {label}" if found else label
+
     with _on_terminal(numbered) if sys.stderr.isatty() else _in_lines(numbered) as (update, say):
         on_compiling.append(lambda: say(COMPILING))
         try:
@@ -51,28 +48,17 @@ def progress_bar(*, quiet: bool = False, steps: Sequence[str] = ()) -> Iterator[
             on_compiling.clear()
 
 
-class _Numbered:
-    """Puts the number of its step before a label."""
-
-    def __init__(self, steps: Sequence[str]) -> None:
-        self._steps = steps
-
-    def __call__(self, label: str) -> str:
-        found = [number for number, step in enumerate(self._steps, start=1) if label.startswith(step)]
-        return f"step {found[0]} of {len(self._steps)}: {label}" if found else label
-
-
-class _Done(MofNCompleteColumn):
+class _Done(shown_progress.MofNCompleteColumn):
     """How many of how many parts are done; nothing where that is not known."""
 
-    def render(self, task: Task) -> Text:
+    def render(self, task: shown_progress.Task) -> Text:
         return super().render(task) if task.total is not None else Text("")
 
 
-class _Left(TimeRemainingColumn):
+class _Left(shown_progress.TimeRemainingColumn):
     """The time that is left; nothing where that is not known."""
 
-    def render(self, task: Task) -> Text:
+    def render(self, task: shown_progress.Task) -> Text:
         return super().render(task).append(" left") if task.time_remaining else Text("")
 
 
@@ -80,11 +66,10 @@ _Shown = tuple[CampaignProgress, Callable[[str], None]]
 
 
 @contextmanager
-def _on_terminal(numbered: _Numbered) -> Iterator[_Shown]:
-    columns = (
-        TextColumn("{task.description}"), BarColumn(bar_width=16), _Done(), TimeElapsedColumn(), _Left(compact=True),
-    )  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+def _on_terminal(numbered: Callable[[str], str]) -> Iterator[_Shown]:
+    said, bar = shown_progress.TextColumn("{task.description}"), shown_progress.BarColumn(bar_width=16)
+    columns = said, bar, _Done(), shown_progress.TimeElapsedColumn(), _Left(compact=True)
+    with shown_progress.Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("starting", total=None)
         lock, shown = threading.Lock(), ""
 
@@ -100,7 +85,7 @@ def _on_terminal(numbered: _Numbered) -> Iterator[_Shown]:
 
 
 @contextmanager
-def _in_lines(numbered: _Numbered) -> Iterator[_Shown]:
+def _in_lines(numbered: Callable[[str], str]) -> Iterator[_Shown]:
     def write(line: str) -> None:
         print(f"skd: {line}", file=sys.stderr, flush=True)
 

@@ -55,7 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     runs = find_runs(arguments.paths)
     unread = [one for one in runs if not one.figures]
-    found = [one for one in runs if one.figures and _is_requested(one, arguments)]
+    car, scenario = ((part or "").casefold() for part in (arguments.car, arguments.scenario))
+    read = [one for one in runs if one.figures]
+    found = [one for one in read if car in one.car.casefold() and scenario in one.scenario.casefold()]
     found.sort(key=_KEYS[arguments.sort])
     if arguments.last is not None:
         found = found[-arguments.last :]
@@ -76,11 +78,6 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
 
     return finish(arguments, content, show)
-
-
-def _is_requested(one: Run, arguments: argparse.Namespace) -> bool:
-    requested = {one.car: arguments.car, one.scenario: arguments.scenario}
-    return all(part is None or part.casefold() in name.casefold() for name, part in requested.items())
 
 
 def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence[Run]) -> int:

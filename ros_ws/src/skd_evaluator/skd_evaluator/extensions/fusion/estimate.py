@@ -29,7 +29,7 @@ An Introduction to the Bootstrap, 1993, section 12.5) that draws from the simula
 
 What is assumed is a shape and no size: the physical figure, and what the simulator does not know of it, is over φ about
 as skewed as the simulated figure, to the side to which the trials lean. Where φ with trials that are too much alike are
-refused (`stand_for_all`), such draws are left out.
+refused (`least_variance`), such draws are left out.
 
 A rate's interval has to stay in [0, 1] and to hold near its ends, so the squared error of the regression estimator is
 turned into an effective number of trials, as in `metrics.statistics.clustered_rate`. Pairs that a simulator predicts
@@ -274,16 +274,6 @@ def _regressed(
     return math.fsum(y) / y.size + slope * off, math.sqrt(squared), residuals
 
 
-def stand_for_all(x: FloatArray, population: FloatArray) -> bool:
-    """Return whether the φ with trials vary as all φ do in what is simulated of them.
-
-    Where a few φ decide a mean, such as those on which the car all but hits, trials on others lie close together and on
-    a line, and their interval is narrow and wrong. a random sample varies so little in one of twenty cases, by
-    the χ² distribution of a variance.
-    """
-    return float(np.var(x, ddof=1)) >= least_variance(x.size) * float(np.var(population, ddof=1))
-
-
 def least_variance(count: int) -> float:
     """Return the share of the variance over all φ that random samples have, but for a share `SELDOM` of them."""
     freedom = count - 1.0
@@ -373,9 +363,9 @@ def fused_rate(y: FloatArray, x: FloatArray, population: FloatArray, line: Line,
     return Mean(min(1.0, max(0.0, value)), interval, error)
 
 
-def enough_of_each(groups: Sequence[FloatArray]) -> bool:
-    """Return whether there are enough φ with a hit, and enough with a trial without one."""
-    return min(sum(bool(one.any()) for one in groups), sum(not one.all() for one in groups)) >= LEAST_OF_EACH
+def fewest_of_each(groups: Sequence[FloatArray]) -> int:
+    """Return how many φ there are with a hit, or with a trial without one, whichever are fewer."""
+    return min(sum(bool(one.any()) for one in groups), sum(not one.all() for one in groups))
 
 
 MOST = 10_000

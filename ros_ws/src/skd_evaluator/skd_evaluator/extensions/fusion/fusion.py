@@ -231,7 +231,7 @@ def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedF
     reach = reach_of_both = (1.0, 1.0)
     if line.slope is None:
         why = "the simulator says the same of all these φ"
-    elif figure.is_rate and not estimate.enough_of_each(pairs.groups):
+    elif figure.is_rate and estimate.fewest_of_each(pairs.groups) < estimate.LEAST_OF_EACH:
         why = f"there are fewer than {estimate.LEAST_OF_EACH} φ with a hit, or without one"
     try:
         if figure.is_rate:
@@ -262,11 +262,16 @@ def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedF
 def _check_spread(figure: TrialFigure, pairs: Pairs, line: Line) -> None:
     """Refuse trials on φ that are too much alike, or of a figure that a few φ decide, none of which need be among them.
 
+    Where a few φ decide a mean, such as those on which the car all but hits, trials on others lie close together and on
+    a line, and their interval is narrow and wrong. A random sample varies so little in one of twenty cases, by the χ²
+    distribution of a variance.
+
     Raises:
         NotSaidError: it is so.
     """
     begin, x, population = f"{figure.text}: nothing is said, for", pairs.simulated, pairs.population
-    if line.predicts and not estimate.stand_for_all(x, population):
+    least = estimate.least_variance(x.size) * float(np.var(population, ddof=1))
+    if line.predicts and not float(np.var(x, ddof=1)) >= least:
         few, every = (f"{np.std(one, ddof=1):.3g} {figure.unit}" for one in (x, population))
         spread = f"simulated standard deviation {few}, over all φ {every}"
         raise NotSaidError(f"{begin} the φ with trials are too alike ({spread}): make more trials")

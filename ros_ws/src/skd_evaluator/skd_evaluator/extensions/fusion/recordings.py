@@ -146,13 +146,6 @@ def _headings_at(track: Track, times: FloatArray) -> FloatArray:
     return np.unwrap(np.arctan2(velocity[kept, 1], velocity[kept, 0]))
 
 
-def _speeds_at(track: Track, times: FloatArray) -> FloatArray:
-    """Return speeds at some times (s), m/s: as recorded, else those of the positions."""
-    if track.speeds is not None:
-        return np.interp(times, track.times, np.abs(track.speeds))
-    return np.asarray(np.hypot(*_velocity_at(track, times, _OVER).T))
-
-
 @dataclass(frozen=True)
 class TrialRecorder:
     """How recordings of trials are read.
@@ -266,7 +259,11 @@ class TrialRecorder:
         places = _places_at(car, times) - self.reference * np.column_stack([np.cos(headings), np.sin(headings)])
         body = self.scenario.adversary
         turned = _headings_at(other, times) if body.is_box else np.zeros(len(times))
-        states = np.column_stack([places, headings, _speeds_at(car, times)])
+        if car.speeds is None:
+            speeds = np.hypot(*_velocity_at(car, times, _OVER).T)
+        else:
+            speeds = np.interp(times, car.times, np.abs(car.speeds))
+        states = np.column_stack([places, headings, speeds])
         footprint = self.scenario.car.front, self.scenario.car.rear, self.scenario.car.half_width
         velocity = _velocity_at(other, times, _OVER)
         return Interaction(times - begin, states, _places_at(other, times), velocity, turned, footprint, body.shape)
