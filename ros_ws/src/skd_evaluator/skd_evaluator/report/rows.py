@@ -194,23 +194,15 @@ _EVERY = 5
 """One in so many points of the curve is in the table of bounds."""
 
 
-def bounds_of(curves: Mapping[str, Any] | None) -> list[dict[str, str]]:
+def bounds_of(curves: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
     """Return what mean and variance alone say of the curve that is drawn, beside what was found.
 
-    By η (m): the share P(η) of trials that needed at most η, and its upper bounds by Theorem 1 and by Cantelli's
-    inequality, up to where these say nothing. None where the curve is not known.
+    By η (m): the share P(η) of trials that needed at most η (`probability`), and its upper bounds by Theorem 1
+    (`bound`) and by Cantelli's inequality, up to where these say nothing. None where the curve is not known.
     """
     curve = (curves or {}).get("margins") or (curves or {}).get("kamikazes")
-    return [
-        {
-            "eta": f"{one['eta']:.2f}",
-            "found": formats.number(one["probability"]),
-            "theorem": formats.number(one["bound"]),
-            "cantelli": formats.number(one["cantelli"]),
-        }
-        for one in (curve["points"][::_EVERY] if curve else ())
-        if "cantelli" in one and one["cantelli"] < 1.0
-    ]
+    points = curve["points"][::_EVERY] if curve else ()
+    return [one for one in points if "cantelli" in one and one["cantelli"] < 1.0]
 
 
 def _equivalent_basis(figures: Mapping[str, Any]) -> str:

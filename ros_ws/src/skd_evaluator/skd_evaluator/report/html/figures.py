@@ -6,20 +6,15 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skd_sim.options.car_under_test import CarUnderTest
-
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
-from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report import formats
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
-from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import credibility, headline
 from skd_evaluator.report.warnings import figure_warnings
 
 _FEW = 3
-_FILES = 10  # of a car, whose digests are shown
 """Most pairs of cars that a sentence names."""
 
 
@@ -135,25 +130,6 @@ def _overlap(one: Sequence[float] | None, other: Sequence[float] | None) -> bool
     return one is None or other is None or (one[0] <= other[1] and other[0] <= one[1])
 
 
-def per_safe_rows(subject: Subject) -> list[dict[str, Any]]:
-    """Return a row for each φ."""
-    every, planned = (of["per_safe_trajectory"] for of in (subject.figures, subject.ranking))
-    found = []
-    for row, mine, margins in zip(every, planned, subject.margins, strict=True):
-        aborted = f", {mine['aborted']} aborted" if mine["aborted"] else ""
-        values = {"margin": mean(margins) if margins.size else None, "deviation": row["deviation"], "skd": row["skd"]}
-        found.append(
-            {
-                "name": str(row["name"]),
-                "safe": bool(row["safe"]),
-                "contact_rate": f"{formats.percent(row['contact_rate'])} of {row['collision_runs']}",
-                "trials": f"{mine['failed']} of {mine['trials'] - mine['aborted']}{aborted}",
-                **{key: formats.number(value) for key, value in values.items()},
-            }
-        )
-    return found
-
-
 def surrogate_cells(figures: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
     """Return each surrogate measure, and for each group of episodes its median, the worst, and where it is defined."""
     count = len(formats.surrogate_groups(figures))
@@ -170,52 +146,6 @@ def same_safe(subject: Subject) -> list[str]:
     for name, phi in zip(names, subject.episodes.safe, strict=True):
         groups.setdefault(phi.tobytes(), []).append(name)
     return [" and ".join(group) for group in groups.values() if len(group) > 1]
-
-
-def _origin_rows(origin: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """Return what `provenance` of a result says; a replayed or older one may lack it."""
-    if origin is None:
-        return [("not recorded", "date, host, command line, revision and hashes")]
-    git = origin["git"]
-    rows = [
-        ("date", str(origin["date"])),
-        ("host", f"{origin['host']} ({origin['platform']}, Python {origin['python']})"),
-        ("command line", str(origin["command"])),
-        ("git revision", f"{git['revision']}{', modified' if git['modified'] else ''}" if git else formats.NOTHING),
-    ]
-    files = origin["controller_files"]
-    rows += [(f"SHA-256 of {one['path']}", str(one["sha256"])) for one in files[:_FILES]]
-    if len(files) > _FILES:
-        rows.append(("SHA-256 of further files", f"of {len(files) - _FILES}, in assessment.json"))
-    if origin["car_model_sha256"]:
-        rows.append(("SHA-256 of the car model", str(origin["car_model_sha256"])))
-    return rows
-
-
-def made_rows(subject: Subject) -> list[tuple[str, str]]:
-    """Return how an assessment was made, as names and values."""
-    figures = subject.figures
-    car = CarUnderTest(str(figures["controller"]))
-    further = ", ".join(f"{key} = {value}" for key, value in figures["options"].items())
-    rows = [
-        ("folder", str(subject.folder)),
-        ("version of SKD", str(figures["version"])),
-        ("controller", car.controller),
-        ("multiplier C", formats.NOTHING if figures["multiplier"] is None else f"{figures['multiplier']:g}"),
-        ("safe trajectories", f"{figures['safe']} ({len(figures['per_safe_trajectory'])})"),
-        ("scenario", scenario_name(figures) or f"{figures['scenario']['name']} (of its own: see the file below)"),
-        ("seed", str(figures["seed"])),
-        ("planner's budget", f"{figures['simulations']:,} simulations per decision"),
-        ("objectives", ", ".join(figures["objectives"])),
-        ("maximum distance", formats.number(figures["maximum_distance"], 2, "m")),
-        ("further options", further or formats.NOTHING),
-        ("adversary model", str(figures["adversary_model"])),
-        ("model of the car", "fitted: see the file below" if figures["car_model"] else "none, or the known C"),
-    ]
-    rows += _origin_rows(figures.get("provenance"))
-    if car.is_external:
-        rows.append((CONTROLLER_COMMAND, "in a command: what starts the controller's node; the folder has no record"))
-    return rows
 
 
 def matrix_of(subjects: Sequence[Subject]) -> dict[str, Any] | None:

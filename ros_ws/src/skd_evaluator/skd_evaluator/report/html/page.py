@@ -18,6 +18,7 @@ from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
+from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report import charts, formats, repeat, rows
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.subjects import Subject, episode_data, margin_hits, pack, scene, worst_first
@@ -79,6 +80,7 @@ def _page(subjects: Sequence[Subject], headings: Mapping[str, Sequence[str]], co
         of_margins=any(one.figures["margin"] is not None for one in subjects),
         hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
         gap_warning=GAP_WARNING,
+        mean=mean,
         style=_template("style.css"),
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
@@ -86,7 +88,6 @@ def _page(subjects: Sequence[Subject], headings: Mapping[str, Sequence[str]], co
         version=version(),
         **{one.__name__.rpartition(".")[2]: one for one in (charts, figures, formats, palette, repeat, rows)},
         failures=any(formats.failures_in(one.figures) for one in subjects),
-        externals=any(CarUnderTest(str(one.figures["controller"])).is_external for one in subjects),
     )
 
 
@@ -98,6 +99,7 @@ def _view(subject: Subject, colour: str) -> dict[str, Any]:
     return {
         "of": subject,
         "figures": found,
+        "car": CarUnderTest(str(found["controller"])),
         "label": subject.label,
         "colour": colour,
         "state": figures.state_of(subject),
