@@ -40,9 +40,8 @@ def course(name: str, contact: bool = True, whole_ticks: bool = False) -> Episod
     along = begin + scenario.car.start_speed * times - 0.25 * times**2
     poses = np.array([scenario.road.place(0, s) for s in along.tolist()])
     car = np.column_stack([poses, scenario.car.start_speed - 0.5 * times])
-    return course_of(
-        scenario, adversary, car, (times[-2] + 0.37 * step, car[-1, 3]) if contact and not whole_ticks else None
-    )
+    impact = (times[-2] + 0.37 * step, car[-1, 3]) if contact and not whole_ticks else ()
+    return course_of(scenario, adversary, car, *impact)
 
 
 def recorded(name: str, *, with_car: bool = True, whole_ticks: bool = False, stem: str = "kamikaze") -> ExportedEpisode:

@@ -242,15 +242,7 @@ def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]
     """
     kept = [(log, objective) for log, objective in episodes if log.outcome != Outcome.ABORTED and len(log.car) > 1]
     logs: Sequence[EpisodeLog] = [log for log, _ in kept]
-    courses = (
-        course_of(
-            scenario,
-            log.adversary,
-            log.car,
-            (log.impact_time, log.impact_speed) if log.outcome == Outcome.COLLISION else None,
-        )
-        for log in logs
-    )
+    courses = (course_of(scenario, log.adversary, log.car, log.impact_time, log.impact_speed) for log in logs)
     collided = np.array([collision_partner(log) == ADVERSARY for log in logs], bool)
     return Surrogates(tuple(logs), tuple(name for _, name in kept), surrogate_measures(scenario, courses, collided))
 

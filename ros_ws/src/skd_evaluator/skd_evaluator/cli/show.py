@@ -111,7 +111,7 @@ def _measures(subject: Subject, number: int) -> dict[str, Any]:
     adversary, car = episodes.adversary[number], episodes.car[number]
     if len(car) < 2 or not np.isfinite(car).all():
         return {}
-    course = course_of(subject.scenario, adversary, car, episodes.contact(number))
+    course = course_of(subject.scenario, adversary, car, *episodes.impact(number))
     return episode_measures(subject.scenario, course, collided=collided)
 
 

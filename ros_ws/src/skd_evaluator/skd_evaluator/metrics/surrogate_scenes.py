@@ -8,6 +8,7 @@ Interactions one after another, as one: what is computed moment by moment is the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -102,7 +103,7 @@ class EpisodeMotion(NamedTuple):
 
 
 def course_of(
-    scenario: Scenario, adversary: FloatArray, car: FloatArray, contact: tuple[float, float] | None
+    scenario: Scenario, adversary: FloatArray, car: FloatArray, contact: float = math.nan, impact: float = math.nan
 ) -> EpisodeMotion:
     """Return the course of an episode whose states are at ticks.
 
@@ -110,16 +111,16 @@ def course_of(
         scenario: road, time step, and how the car moves within a tick.
         adversary: n × 2 positions at ticks, m.
         car: n × 4: reference point (x, y), m, heading, rad, and speed, m/s.
-        contact: time of the contact, which is in the last tick, s, and the car's speed then, m/s; None without one.
+        contact: time of the contact, which is in the last tick, s; nan without one.
+        impact: speed of the car then, m/s.
     """
     time_step = scenario.time_step
     times = np.arange(len(adversary), dtype=np.float64) * time_step
-    if contact is None:
+    if math.isnan(contact):
         return EpisodeMotion(times, adversary, car)
-    time, impact = contact
-    if time <= times[-2]:  # at the tick itself
+    if contact <= times[-2]:  # at the tick itself
         return EpisodeMotion(times[:-1], adversary[:-1], car[:-1])
-    times[-1], ticks = time, time / time_step
+    times[-1], ticks = contact, contact / time_step
     walked = until_contact(adversary, ticks)
     return EpisodeMotion(times, walked, car_until_contact(scenario, car, ticks, impact, walked[-1]))
 

@@ -215,8 +215,7 @@ def recorded_figures(log: EpisodeLog, start: int) -> Iterator[tuple[str, Float64
     contact = log.outcome == Outcome.COLLISION
     values: dict[str, list[float]] = {}
     if len(log.car) > 1 and np.isfinite(log.car).all():
-        ended = (log.impact_time, log.impact_speed) if contact else None
-        course = course_of(scenario, log.adversary, log.car, ended)
+        course = course_of(scenario, log.adversary, log.car, log.impact_time, log.impact_speed)
         values[Topic.CLEARANCE] = clearances(scene_of(scenario, *course)).tolist()
     if safe is not None:
         ticks = [*map(float, range(len(psi)))]

@@ -311,9 +311,9 @@ class StoredEpisodes:
         with np.errstate(invalid="ignore"):
             return np.asarray(self.collided & (self.impact_speed >= self.hit_speed))
 
-    def contact(self, number: int) -> tuple[float, float] | None:
-        """Return time (s) and speed of the car (m/s) at the contact of an episode; None without one."""
-        return (float(self.impact_time[number]), float(self.impact_speed[number])) if self.collided[number] else None
+    def impact(self, number: int) -> tuple[float, float]:
+        """Return time (s) and speed of the car (m/s) at the contact of an episode; nan without one."""
+        return float(self.impact_time[number]), float(self.impact_speed[number])
 
     def until_contact(self, number: int) -> FloatArray:
         """Return the adversary's places in an episode, n × 2, the last one moved back to the contact, if any."""

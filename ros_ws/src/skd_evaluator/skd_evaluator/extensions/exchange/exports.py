@@ -188,8 +188,8 @@ def _walk(
 def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> ExportedEpisode:
     episodes, scenario = subject.episodes, subject.scenario
     hit = bool(episodes.collided[number])
-    contact = None if whole_ticks else episodes.contact(number)
-    course = course_of(scenario, episodes.adversary[number], episodes.car[number], contact)
+    impact = () if whole_ticks else episodes.impact(number)
+    course = course_of(scenario, episodes.adversary[number], episodes.car[number], *impact)
     actors, duration = scene.actors_of(scenario, course, with_car=True), float(course.times[-1])
     x, y, heading, speed = actors[0].states[0].tolist()
     entry, index = episode_entry(subject, number), int(episodes.safe_index[number])

@@ -256,7 +256,7 @@ def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> 
     ran = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED) & (stored.safe_index == index)
     found = []
     for number in np.flatnonzero(ran).tolist():
-        course = course_of(scenario, stored.adversary[number], stored.car[number], stored.contact(number))
+        course = course_of(scenario, stored.adversary[number], stored.car[number], *stored.impact(number))
         values = figures_of(scene_of(scenario, *course), hit=bool(stored.hit[number]))
         if stored.collided[number]:
             values["clearance"] = 0.0
