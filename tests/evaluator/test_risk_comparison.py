@@ -264,4 +264,4 @@ def test_closing_speed_delta_v_and_fatality_are_those_at_the_contact(case):
         assert values["closing_speed"][row] == pytest.approx(comes, abs=5e-3)
         assert closing_speed(log) == pytest.approx(comes, abs=5e-3)
         assert values["delta_v"][row] == pytest.approx(greater_delta_v(comes, "pedestrian"), abs=5e-3)
-        assert values["fatality_risk"][row] == pytest.approx(fatality_risk(comes).value, rel=0.01)
+        assert values["fatality_risk"][row] == pytest.approx(fatality_risk(comes), rel=0.01)

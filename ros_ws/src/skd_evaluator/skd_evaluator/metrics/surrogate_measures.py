@@ -52,7 +52,6 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
 from skd_sim.world.state import CarState, FloatArray, IntArray, RoadUserState
 
-from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scenes_of
 
 GRID = 0.05
@@ -132,7 +131,7 @@ def _measures(
         "headway": grid.least(headways(grid.whole)),
         "closing_speed": closing,
         "delta_v": of_contact(lambda one: greater_delta_v(one, kind)),
-        "fatality_risk": of_contact(lambda one: fatality_risk(one).value if on_foot else math.nan),
+        "fatality_risk": of_contact(lambda one: fatality_risk(one) if on_foot else math.nan),
     }
     return {name: np.where(np.isfinite(found[name]), found[name], math.nan) for name in SURROGATE_MEASURES}
 
@@ -157,10 +156,10 @@ def episode_measures(scenario: Scenario, course: EpisodeMotion, *, collided: boo
         "headway": headways(scene),
     }
     plain = {name: _plain(float(values[0])) for name, values in found.items()}
-    risk = None if plain["fatality_risk"] is None else fatality_risk(float(found["closing_speed"][0]))
+    risks = [fatality_risk(float(found["closing_speed"][0]), odds) for odds in ODDS_INTERVAL]
     return {
         **plain,
-        "fatality_risk_interval": risk and list(risk.interval),
+        "fatality_risk_interval": None if plain["fatality_risk"] is None else sorted(risks),
         "over_time": {
             "time": np.round(scene.times, 6).tolist(),
             **{name: [_plain(value) for value in values.tolist()] for name, values in over.items()},
@@ -465,14 +464,6 @@ CAR_MASS = 1500.0
 """kg, of the car under test: about the mean of new cars in Europe."""
 
 
-@dataclass(frozen=True)
-class Risk:
-    """A probability, with its interval."""
-
-    value: float
-    interval: Interval
-
-
 def closing_speeds(scene: Interaction) -> FloatArray:
     """Return the amount of the relative velocity at each moment, n, m/s; at a contact it is the closing speed."""
     heading, speed = scene.car[:, 2], scene.car[:, 3]
@@ -491,12 +482,11 @@ def greater_delta_v(closing: float, kind: str) -> float:
     return delta_v(closing, min(mass, CAR_MASS), max(mass, CAR_MASS))
 
 
-def fatality_risk(closing: float) -> Risk:
-    """Return the risk that a pedestrian who is hit at a closing speed (m/s) dies."""
-    beyond = KMH * closing - HALF_AT
+def fatality_risk(closing: float, odds: float = ODDS) -> float:
+    """Return the risk that a pedestrian who is hit at a closing speed (m/s) dies.
 
-    def risk(odds: float) -> float:
-        return 1.0 / (1.0 + math.exp(-math.log(odds) * beyond))
-
-    low, high = sorted(risk(odds) for odds in ODDS_INTERVAL)
-    return Risk(risk(ODDS), (low, high))
+    Args:
+        closing: closing speed, m/s.
+        odds: by which the odds grow for each km/h; with the ends of `ODDS_INTERVAL` it is the ends of its interval.
+    """
+    return 1.0 / (1.0 + math.exp(-math.log(odds) * (KMH * closing - HALF_AT)))
