@@ -24,8 +24,8 @@ from skd_evaluator.assessment.plausibility import between
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, leaves_line, outline_of
 from skd_evaluator.metrics.entry import Entry
-from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, clearances, surrogate_measures
-from skd_evaluator.metrics.surrogate_scenes import Interaction, course_of
+from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, clearance_at, surrogate_measures
+from skd_evaluator.metrics.surrogate_scenes import course_of
 
 ADVERSARY, ROAD_EDGE = -1, -2
 
@@ -42,11 +42,11 @@ def collision_partner(log: EpisodeLog) -> int | None:
     if not scenario.others and not steered:
         return ADVERSARY
     pose, share = car_at_contact(log)
-    body = scenario.adversary
-    apart = [_apart(log, pose, body.shape, log.trajectory.positions[-1], body.last_heading(log.adversary))]
+    body, place = scenario.adversary, log.trajectory.positions[-1].tolist()
+    apart = [clearance_at(scenario, pose, body, place, body.last_heading(log.adversary))]
     for other, (before, after) in zip(scenario.others, _others_in_last_tick(log), strict=True):
         state = before.moved(after, share * scenario.time_step)
-        apart.append(_apart(log, pose, other.shape, np.array(state[:2]), state.heading))
+        apart.append(clearance_at(scenario, pose, other, state[:2], state.heading))
     nearest = int(np.argmin(apart))
     if steered and _from_edge(scenario, pose) < apart[nearest]:
         return ROAD_EDGE
@@ -90,14 +90,6 @@ def _others_in_last_tick(log: EpisodeLog) -> list[tuple[RoadUserState, RoadUserS
     return list(zip(scenario.others_at(tick), scenario.others_at(tick + 1), strict=True))
 
 
-def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place: FloatArray, heading: float) -> float:
-    """Return the distance of the car at a pose to a road user at a place (m) with a heading (rad), m."""
-    car = log.episode.scenario.car
-    footprint, no_motion = (car.front, car.rear, car.half_width), np.zeros((1, 2))
-    states, turned = np.array([[*pose, 0.0]]), np.array([heading])
-    return float(clearances(Interaction(np.zeros(1), states, place[None], no_motion, turned, footprint, shape))[0])
-
-
 STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
 
@@ -123,12 +115,12 @@ def lane_left(log: EpisodeLog) -> float:
     if not steers(log):
         return 0.0
     scenario, seconds = log.episode.scenario, 0.0
-    car, half = scenario.car, 0.5 * scenario.road.lane_width
-    footprint = car.front, car.rear, car.half_width
+    half = 0.5 * scenario.road.lane_width
     for before, after in pairwise(log.car):
         path = between(before, after, _PARTS)
-        out = [beyond(scenario.road.line, (half, half), footprint, path[row : row + 1]) for row in range(1, len(path))]
-        seconds += scenario.time_step * float(np.mean(np.array(out) >= 0))
+        places = (path[row : row + 1] for row in range(1, len(path)))
+        out = [beyond(scenario.road.line, (half, half), scenario.car.footprint, place) >= 0 for place in places]
+        seconds += scenario.time_step * float(np.mean(out))
     return seconds
 
 

@@ -121,7 +121,7 @@ class Onlooker:
         walked = np.array(self._walked or [adversary[:2]])
         strayed = math.nan if self._phi is None else deviation(self._phi, walked, len(walked) - 1)
         time = (tick + period / self._scenario.control_periods) * self._scenario.time_step
-        apart = clearance_at(self._scenario, car, adversary)
+        apart = clearance_at(self._scenario, car[:3], self._scenario.adversary, adversary[:2], adversary.heading)
         return Situation(
             self._scenario, time, car, adversary, walked, self._phi, *as_pair(command), self._unit, age, apart, strayed
         )

@@ -39,7 +39,7 @@ reaches into this strip; both as they went, and nothing is predicted. It is defi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -47,10 +47,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from skd_sim.kernels.compilation import kernel
-from skd_sim.scenario.road_user import ROAD_USERS
+from skd_sim.scenario.road_user import ROAD_USERS, Body
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
-from skd_sim.world.state import CarState, FloatArray, IntArray, RoadUserState
+from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scenes_of
 
@@ -180,24 +180,19 @@ def clearances(scene: Interaction) -> FloatArray:
     return _apart(scene, scene.seen, scene.turned_from_car)
 
 
-def clearance_at(scenario: Scenario, car: CarState, other: RoadUserState) -> float:
-    """Return the distance between the outlines of car and adversary at one moment, m; 0 where they touch.
+def clearance_at(scenario: Scenario, car: Sequence[float], body: Body, place: Sequence[float], heading: float) -> float:
+    """Return the distance between the outlines of the car and a road user at one moment, m; 0 where they touch.
 
     Args:
-        scenario: gives the shapes.
-        car: state of the car.
-        other: state of the adversary.
+        scenario: gives the car's footprint.
+        car: its pose: x, y, m, and heading, rad.
+        body: of the road user.
+        place: where the road user is, (x, y), m.
+        heading: where its box points, rad.
     """
-    footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
-    scene = Interaction(
-        np.zeros(1),
-        np.array([car[:4]]),
-        np.array([other[:2]]),
-        np.array([other[2:4]]),
-        np.array([other.heading]),
-        footprint,
-        scenario.adversary.shape,
-    )
+    states, places, turned = np.array([[*car, 0.0]]), np.array([[*place]]), np.array([heading])
+    still = np.zeros((1, 2))
+    scene = Interaction(np.zeros(1), states, places, still, turned, scenario.car.footprint, body.shape)
     return float(clearances(scene)[0])
 
 

@@ -211,8 +211,8 @@ def scenes_of(scenario: Scenario, courses: Sequence[EpisodeMotion]) -> Interacti
             heading = body.first_heading
             for tick, (vx, vy) in enumerate(velocity[start:end].tolist(), start):
                 heading = turned[tick] = body.heading(heading, vx, vy)
-    footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
-    return Interactions(Interaction(times, car, places, velocity, turned, footprint, body.shape), starts)
+    scene = Interaction(times, car, places, velocity, turned, scenario.car.footprint, body.shape)
+    return Interactions(scene, starts)
 
 
 def velocities(times: FloatArray, places: FloatArray, starts: IntArray) -> FloatArray:

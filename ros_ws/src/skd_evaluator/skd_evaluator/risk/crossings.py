@@ -321,16 +321,11 @@ def end_of(log: EpisodeLog) -> tuple[Touch, float]:
     touch, missed = ended(
         np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings,
         collision_partner(log) == ADVERSARY, passed, pose,
-        collided and not goes_straight(scenario, log.car[-2:]), footprint_of(scenario), scenario.adversary.reach,
+        collided and not goes_straight(scenario, log.car[-2:]), scenario.car.footprint, scenario.adversary.reach,
         log.impact_speed, scenario.collision.hit_speed, SAME if scenario.road.straight else IN_A_CURVE,
         scenario.time_step,
     )  # fmt: skip
     return Touch(touch), missed
-
-
-def footprint_of(scenario: Scenario) -> tuple[float, float, float]:
-    """Return front, rear and half width of the car, m."""
-    return scenario.car.front, scenario.car.rear, scenario.car.half_width
 
 
 @kernel
@@ -407,7 +402,7 @@ def crossing_numbers(episode: EpisodeSpec) -> CrossingNumbers:
     car = scenario.car
     return CrossingNumbers(
         scenario.road.line,
-        footprint_of(scenario),
+        scenario.car.footprint,
         scenario.adversary.reach,
         car.start_speed,
         car.start_gap_range,

@@ -65,6 +65,11 @@ class Car(Frozen):
         return 0.5 * self.width
 
     @property
+    def footprint(self) -> tuple[float, float, float]:
+        """How far it reaches ahead of its reference point, behind it and to each side, m."""
+        return self.front, self.rear, self.half_width
+
+    @property
     def safe_distance(self) -> float:
         """κ: distance to stop from the start speed at full deceleration, m (paper, "The Cars")."""
         return braking_distance(self.start_speed, self.deceleration)
@@ -448,8 +453,7 @@ def _touches(
 def _inside_car(scenario: Scenario, body: RoadUserState, shape: Shape) -> bool:
     """Return whether a body is in the car's footprint, wherever in its start range the car starts."""
     car = scenario.car
-    footprint = (car.front, car.rear, car.half_width)
-    return any(_touches(pose, footprint, body, shape) for pose in _start_poses(scenario, car.start_gap))
+    return any(_touches(pose, car.footprint, body, shape) for pose in _start_poses(scenario, car.start_gap))
 
 
 def _start_poses(scenario: Scenario, gap: float) -> Iterator[tuple[float, float, float]]:

@@ -377,7 +377,7 @@ def _numbers(episode: EpisodeSpec) -> _Numbers:
     scenario = episode.scenario
     car, limits = scenario.car, command_limits(scenario)
     return _Numbers(
-        (car.front, car.rear, car.half_width),
+        car.footprint,
         scenario.adversary.reach,
         scenario.time_step,
         scenario.control_periods,
