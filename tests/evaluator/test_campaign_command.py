@@ -123,11 +123,7 @@ def test_what_would_be_run_is_said_without_running_it(here, skd_here):
 
 def test_a_cell_that_fails_costs_no_other(here, skd_here, monkeypatch):
     monkeypatch.syspath_prepend(here)
-    write(
-        here,
-        "cars: [{controller: my_cars:Raises, adversary_model: generic}, "
-        "{controller: my_cars:Fine, adversary_model: generic}]",
-    )
+    write(here, "cars: [{controller: my_cars:Raises}, {controller: my_cars:Fine}]", adversary_model="generic")
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
     assert done.returncode == 1
     assert "my_cars-Raises: failed: " in done.stderr
@@ -255,15 +251,10 @@ class Car:
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("weights.bin", "2"),
-        ("the_law.py", "def decide(gain): return gain\n"),
-        ("nets/new.bin", "1"),
-        ("weights.bin", None),
-    ],
-)
+CHANGES = {"weights.bin": "2", "the_law.py": "def decide(gain): return gain\n", "nets/new.bin": "1"}
+
+
+@pytest.mark.parametrize(("name", "text"), [*CHANGES.items(), ("weights.bin", None)])
 def test_another_car_behind_the_same_module_is_refused(here, monkeypatch, name, text):
     monkeypatch.syspath_prepend(str(here))
     (here / "read_car.py").write_text(CAR)

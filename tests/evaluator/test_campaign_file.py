@@ -42,10 +42,8 @@ def test_everything_is_crossed_in_the_order_of_the_file(tmp_path):
         for scenario in ("crossing", "slow")
         for seed in (4, 2)
     ]
-    values = [
-        tuple(cell.values[key] for key in ("controller", "multiplier", "safe_count", "maximum_distance", "seed"))
-        for cell in cells
-    ]
+    keys = ("controller", "multiplier", "safe_count", "maximum_distance", "seed")
+    values = [tuple(cell.values[key] for key in keys) for cell in cells]
     assert values[:2] == [("basic", 1.0, 2, 3.0, 4), ("basic", 1.0, 2, 3.0, 2)]
     assert values[4] == ("basic", 0.75, 2, 3.0, 4)
     assert values[-1] == ("cal", 1.0, 3, 3.0, 2)

@@ -120,11 +120,8 @@ def test_sweep(here):
         assert row["contact_rate"] == np.mean(hits)
     table = (here / "out" / "sweep.csv").read_text().splitlines()
     for line, row in zip(csv.DictReader(table), rows, strict=True):
-        assert (line["kind"], float(line["multiplier"]), float(line["skd"])) == (
-            row["kind"],
-            row["multiplier"],
-            row["skd"],
-        )
+        assert line["kind"] == row["kind"]
+        assert [float(line[key]) for key in ("multiplier", "skd")] == [row["multiplier"], row["skd"]]
     # And what the terminal shows: C, the margin, and SKD ± half its interval.
     for row in rows:
         low, high = row["skd_ci95_pairs"]
@@ -173,15 +170,9 @@ def test_interrupted(here, name, number, to_all, processes):
         "--kamikaze-count", "100000", "--adversary-model", "generic", "--controller", name,
         "--out", "../out", "--overwrite",
     ]  # fmt: skip
-    process = subprocess.Popen(
-        command,
-        cwd=here / "work",
-        env={**os.environ, "PYTHONPATH": str(here), "PYTHONDONTWRITEBYTECODE": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    variables = {**os.environ, "PYTHONPATH": str(here), "PYTHONDONTWRITEBYTECODE": "1"}
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, cwd=here / "work", env=variables, start_new_session=True, **piped)
     try:
         wait_until(lambda: len(_family(process.pid)) >= processes or process.poll() is not None)
         time.sleep(0.5)

@@ -13,45 +13,38 @@ from skd_sim.errors import UsageError
 
 
 @pytest.mark.parametrize(
-    ("content", "parts"),
+    ("option", "content", "parts"),
     [
-        (None, ["phi.csv", "no such file"]),
-        ("a,b\n0,1\n", ["phi.csv, line 1", "'t'"]),
-        ("t,x,y\n0,-3,0\n0.3,-2,0\noops,-1,0\n", ["phi.csv, line 4", "t must be a number", "'oops'"]),
-        ("t,x,y\n0,-3,0\n0.3,nan,0\n0.6,3,0\n", ["phi.csv, line 3", "x must be finite", "nan"]),
-        ("t,x,y\n0,-3,0\n", ["phi.csv", "1 point", "at least two"]),
-        ("t,x,y\n0,-3,0\n3,-2,0\n", ["phi.csv", "never enters the car's path"]),
-        ("t,x,y\n0,0,-14\n3,2,0\n", ["phi.csv", "where the car starts"]),
+        ("--safe=phi.csv", None, ["no such file"]),
+        ("--safe=phi.csv", "a,b\n0,1\n", ["line 1", "'t'"]),
+        ("--safe=phi.csv", "t,x,y\n0,-3,0\n0.3,-2,0\noops,-1,0\n", ["line 4", "t must be a number", "'oops'"]),
+        ("--safe=phi.csv", "t,x,y\n0,-3,0\n0.3,nan,0\n0.6,3,0\n", ["line 3", "x must be finite", "nan"]),
+        ("--safe=phi.csv", "t,x,y\n0,-3,0\n", ["1 point", "at least two"]),
+        ("--safe=phi.csv", "t,x,y\n0,-3,0\n3,-2,0\n", ["never enters the car's path"]),
+        ("--safe=phi.csv", "t,x,y\n0,0,-14\n3,2,0\n", ["where the car starts"]),
+        ("--scenario=scenario.yaml", None, ["citr_crossing", "crossing"]),
+        ("--scenario=scenario.yaml", "a: [1\n", ["not valid YAML"]),
+        ("--scenario=scenario.yaml", edited(car__wings=2), ["unknown key car.wings"]),
+        ("--scenario=scenario.yaml", edited(adversary__radius=float("nan")), ["adversary.radius", "nan"]),
+        (
+            "--scenario=scenario.yaml", edited(adversary__start_x=0.0, adversary__start_y=-14.0),
+            ["overlaps the adversary"],
+        ),
     ],
-    ids=["missing", "columns", "malformed", "nan", "one-point", "beside", "in-the-car"],
-)
-def test_bad_safe_trajectory(here, skd_here, content, parts):
+    ids=["missing", "columns", "malformed", "nan", "one-point", "beside", "in-the-car", "no-scenario", "syntax",
+         "unknown-key", "radius-nan", "overlap"],
+)  # fmt: skip
+def test_bad_file(here, skd_here, option, content, parts):
+    file = option.partition("=")[2]
     if content is not None:
-        (here / "phi.csv").write_text(content)
-    one_line(skd_here("assess", *SMALL, "--safe", "phi.csv", "--out", "out"), 2, *parts)
+        (here / file).write_text(content)
+    one_line(skd_here("assess", *SMALL, option, "--out", "out"), 2, file, *parts)
     assert not (here / "out").exists()
 
 
 def test_sweep_reads_recorded_trajectories_before_it_runs_anything(here):
     """Or it would not end in time."""
     one_line(skd("sweep", "--safe", "missing.csv", "--simulations", "100000", cwd=here), 2, "missing.csv")
-
-
-@pytest.mark.parametrize(
-    ("content", "parts"),
-    [
-        (None, ["scenario.yaml", "citr_crossing", "crossing"]),
-        ("a: [1\n", ["scenario.yaml", "not valid YAML"]),
-        (edited(car__wings=2), ["scenario.yaml", "unknown key car.wings"]),
-        (edited(adversary__radius=float("nan")), ["scenario.yaml", "adversary.radius", "nan"]),
-        (edited(adversary__start_x=0.0, adversary__start_y=-14.0), ["scenario.yaml", "overlaps the adversary"]),
-    ],
-    ids=["missing", "syntax", "unknown-key", "nan", "overlap"],
-)
-def test_bad_scenario(here, skd_here, content, parts):
-    if content is not None:
-        (here / "scenario.yaml").write_text(content)
-    one_line(skd_here("assess", *SMALL, "--scenario", "scenario.yaml"), 2, *parts)
 
 
 @pytest.mark.parametrize(

@@ -82,9 +82,8 @@ def test_intervals_hold_and_are_narrower(rho, pairs, narrower):
 def test_saved_trials_are_those_that_an_interval_as_narrow_takes():
     for pairs, narrower in ((10, 0.5), (20, 0.62), (40, 0.9)):
         saved = trials_saved(pairs, narrower, 0.95)
-        width = [
-            stats.t.ppf(0.975, count - 1) / math.sqrt(count) for count in (pairs, pairs + saved - 1, pairs + saved)
-        ]
+        counts = np.array([pairs, pairs + saved - 1, pairs + saved])
+        width = stats.t.ppf(0.975, counts - 1) / np.sqrt(counts)
         assert width[2] <= narrower * width[0] < width[1]
     assert trials_saved(10, 1.1, 0.95) == 0
 
@@ -216,10 +215,8 @@ def test_of_trials_on_alike_phi_nothing_is_said():
     with pytest.raises(UsageError, match=r"too alike.*make more trials"):
         fuse(trials_of(y), simulated_of(every))
     chosen = [*range(7), 950, 960, 970]
-    spread = [
-        PhysicalTrial(f"phi{index}", {"clearance": float(every[index] + 0.02 * rng.standard_normal())})
-        for index in chosen
-    ]
+    values = (float(every[index] + 0.02 * rng.standard_normal()) for index in chosen)
+    spread = [PhysicalTrial(f"phi{index}", {"clearance": one}) for index, one in zip(chosen, values, strict=True)]
     assert fuse(spread, simulated_of(every))[0][0].predicts
 
 
@@ -250,10 +247,8 @@ def test_few_trials_of_a_figure_that_few_phi_decide_are_refused():
 def test_a_simulator_that_is_right_so_far_may_be_wrong_some_day():
     """Partly a yes or no: beside the residuals one trial counts in which the simulator said nothing."""
     y, _, every = drawn(np.random.default_rng(16), 0.95, 12)
-    plain, partly = (
-        fused_figure(FIGURES[key], paired_of(y + 5.0, every + 5.0, key), 0.95).stands
-        for key in ("margin", "required_deceleration")
-    )
+    figures = [FIGURES[key] for key in ("margin", "required_deceleration")]
+    plain, partly = (fused_figure(one, paired_of(y + 5.0, every + 5.0, one.key), 0.95).stands for one in figures)
     line = fitted_line(y, every[:12])
     expected = math.sqrt((10.0 * line.residual + np.var(y, ddof=1)) / (11.0 * line.residual))
     assert partly.value == plain.value
@@ -273,15 +268,10 @@ def test_expected_widths_are_those_of_drawn_trials(rho, trials):
         x, other = rng.standard_normal((2, trials))
         y, centre = rho * x + math.sqrt(1.0 - rho**2) * other, rng.standard_normal() / math.sqrt(500.0)
         line = fitted_line(y, x)
-        squared = (
-            line.residual * (1.0 / trials + (centre - x.mean()) ** 2 / line.spread) + (line.slope or 0.0) ** 2 / 500
-        )
-        widths.append(
-            (
-                2.0 * stats.t.ppf(0.975, trials - 1) * stats.sem(y),
-                2.0 * stats.t.ppf(0.975, trials - 2) * math.sqrt(squared),
-            )
-        )
+        squared = line.residual * (1.0 / trials + (centre - x.mean()) ** 2 / line.spread)
+        error = math.sqrt(squared + (line.slope or 0.0) ** 2 / 500)
+        alone, both = stats.t.ppf(0.975, [trials - 1, trials - 2])
+        widths.append((2.0 * alone * stats.sem(y), 2.0 * both * error))
     alone, both = np.mean(widths, axis=0)
     assert width_alone(trials, 1.0) == pytest.approx(alone, rel=0.02)
     assert width_fused(trials, 1.0, rho, 500) == pytest.approx(both, rel=0.03)

@@ -61,9 +61,8 @@ def test_limits_hold_on_their_own_side(result):
 def test_a_limit_holds_for_each_of_several_cars(cars, result, skd_here):
     folders, deviation = [str(folder) for folder in cars.values()], result["deviation"]  # the lesser one
     for limit, code in ((9.0, 0), (deviation, 1)):
-        done = skd_here(
-            "compare", *folders, "--no-pictures", "--fail-above", f"deviation={limit!r}", "--overwrite", "--out", "both"
-        )
+        words = ("--no-pictures", "--fail-above", f"deviation={limit!r}", "--overwrite", "--out", "both")
+        done = skd_here("compare", *folders, *words)
         assert done.returncode == code
         assert ("gate: basic, C = 1.15: deviation ≤" in done.stderr) == bool(code)
         assert "gate: basic, C = 0.5" not in done.stderr
@@ -180,10 +179,7 @@ def test_the_command_line_decides(skd_here, here, cars):
     [
         (["--fail-below", "deviatoin=1"], ["--fail-below deviatoin=1", "did you mean 'deviation'?"]),
         (["--fail-below", "deviation=much"], ["FIGURE=NUMBER"]),
-        (
-            ["--fail-above", "nominal_collision_rate=5"],
-            ["--fail-above nominal_collision_rate=5", "from 0 to 1, where 0.05 is 5 %"],
-        ),
+        (["--fail-above", "contact_rate=5"], ["--fail-above contact_rate=5", "from 0 to 1, where 0.05 is 5 %"]),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
         (["--junit", "same.out", "--markdown", "./same.out"], ["--junit same.out: --markdown is written there, too"]),
         (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),

@@ -136,17 +136,9 @@ def with_margins(what: ObjectiveResult) -> Assessment:
     ways = []
     for number, group in enumerate(what.kamikaze):
         phi = group.safe_trajectory
-        mine = [
-            Hit(
-                0.2 + 0.1 * k,
-                Trajectory(phi.positions[:5] + np.array([0.0, 0.2 + 0.1 * k]), phi.time_step),
-                4.0,
-                3.0,
-                0.0,
-            )
-            for k in range(2 + number)
-        ]
-        ways.append((*mine, None))
+        away = [0.2 + 0.1 * k for k in range(2 + number)]
+        walked = [Trajectory(phi.positions[:5] + np.array([0.0, one]), phi.time_step) for one in away]
+        ways.append((*(Hit(one, way, 4.0, 3.0, 0.0) for one, way in zip(away, walked, strict=True)), None))
     return whole(what, margins=Margins(tuple(ways), CROSSING.eta_max))
 
 

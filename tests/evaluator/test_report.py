@@ -126,14 +126,9 @@ def test_episodes_are_those_of_the_trajectories(report, sweep):
     for index, one in enumerate(content["subjects"]):
         with np.load(sweep / "synthetic" / f"C_{one['label'].split('= ')[1]}" / "episodes.npz") as stored:
             arrays = dict(stored)
-        keys = {
-            (
-                int(arrays["episode_id"][row]) & 0xFFFFFFFF,
-                int(arrays["safe_index"][row]),
-                str(arrays["objective"][row]),
-            ): row
-            for row in np.flatnonzero(arrays["mode"] != Mode.SAFE)
-        }
+        trials, phis, objectives = arrays["episode_id"] & 0xFFFFFFFF, arrays["safe_index"], arrays["objective"]
+        ran = np.flatnonzero(arrays["mode"] != Mode.SAFE).tolist()
+        keys = {(int(trials[row]), int(phis[row]), str(objectives[row])): row for row in ran}
         for episode in (episode for episode in episodes if episode["subject"] == index):
             row = keys.pop((episode["trial"], episode["phi"], episode["objective"]))
             low, high = arrays["offsets"][row : row + 2]
@@ -185,9 +180,8 @@ def test_each_command_repeats_its_episode(subjects):
             )  # fmt: skip
             asked = parser.parse_args(shlex.split(shlex.join(words))[1:])
             plan = plan_of(vars(asked), scenario_for(asked.scenario, asked.safe))
-            log = run_episode(
-                single_episode(plan, Mode[asked.mode.upper()], asked.trial, safe_number=asked.safe_number)
-            )
+            mode = Mode[asked.mode.upper()]
+            log = run_episode(single_episode(plan, mode, asked.trial, safe_number=asked.safe_number))
             np.testing.assert_array_equal(log.adversary, episodes.adversary[number])
             np.testing.assert_array_equal(log.car, episodes.car[number])
 
