@@ -11,16 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_evaluator.assessment.files.episode_store import (
-    FILE_NAME,
-    EpisodeStore,
-    StoppedError,
-    StoreError,
-    StoringRunner,
-    digest_of_specification,
-    from_bytes,
-    to_bytes,
-)
+from skd_evaluator.assessment.files import episode_store
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
@@ -69,7 +60,7 @@ def test_a_record_loses_nothing(numbers, outcome, three, ages, whole, reason, be
         episode(0), outcome, states[:, :2], states[:, 2:], three[0], three[1], whole[0], reason, whole[1],
         Timing(tuple(ages), whole[2], three[2]), states[:, 2:] if believed else None,
     )  # fmt: skip
-    read = from_bytes(to_bytes(log), log.episode)
+    read = episode_store.from_bytes(episode_store.to_bytes(log), log.episode)
     assert bits(read) == bits(log)
     assert read.episode is log.episode
     assert isinstance(read.outcome, Outcome)
@@ -93,20 +84,20 @@ def test_whatever_is_specified_is_in_the_digest():
             {"public": dataclasses.replace(CROSSING, eta_max=4.0)},
         )
     ]  # fmt: skip
-    found = [digest_of_specification(one) for one in (base, *others)]
+    found = [episode_store.digest_of_specification(one) for one in (base, *others)]
     assert len(set(found)) == len(found)
     options = {one.name for one in dataclasses.fields(EpisodeSpec)}
     changed = {name for one in others for name in options if getattr(one, name) is not getattr(base, name)}
     assert changed == options
     same = dataclasses.replace(base, scenario=load_scenario("crossing"), safe_trajectory=dataclasses.replace(ACROSS))
-    assert digest_of_specification(same) == found[0]
+    assert episode_store.digest_of_specification(same) == found[0]
 
 
 def filled(folder: Path, count: int = 40) -> tuple[list[EpisodeSpec], list[bytes]]:
     """Episodes of a store that was closed."""
-    store = EpisodeStore(folder / FILE_NAME)
+    store = episode_store.EpisodeStore(folder / episode_store.FILE_NAME)
     episodes = [episode(trial) for trial in range(count)]
-    keys = [digest_of_specification(one) for one in episodes]
+    keys = [episode_store.digest_of_specification(one) for one in episodes]
     for key, one in zip(keys, episodes, strict=True):
         store.put(CELL, key, log_of(one))
     store.close()
@@ -115,7 +106,7 @@ def filled(folder: Path, count: int = 40) -> tuple[list[EpisodeSpec], list[bytes
 
 def read_all(folder: Path, episodes: Sequence[EpisodeSpec], keys: Sequence[bytes]) -> list[int]:
     """Which episodes are there; each is held against what was put."""
-    store = EpisodeStore(folder / FILE_NAME)
+    store = episode_store.EpisodeStore(folder / episode_store.FILE_NAME)
     try:
         known = store.known(CELL, keys)
         for key, one in zip(keys, episodes, strict=True):
@@ -129,7 +120,7 @@ def read_all(folder: Path, episodes: Sequence[EpisodeSpec], keys: Sequence[bytes
 def test_what_is_put_is_there(tmp_path):
     episodes, keys = filled(tmp_path)
     assert read_all(tmp_path, episodes, keys) == list(range(len(episodes)))
-    store = EpisodeStore(tmp_path / FILE_NAME)
+    store = episode_store.EpisodeStore(tmp_path / episode_store.FILE_NAME)
     assert store.count() == len(keys)
     assert store.known(OTHER, keys) == set()
     store.keep_only([CELL])
@@ -144,7 +135,7 @@ def write_and_be_killed(folder, episodes, keys):
     """Write the episodes in a process that does not end by itself, and so closes nothing."""
     child = os.fork()
     if child == 0:
-        store = EpisodeStore(folder / FILE_NAME)
+        store = episode_store.EpisodeStore(folder / episode_store.FILE_NAME)
         for key, one in zip(keys, episodes, strict=True):
             store.put(CELL, key, log_of(one))
         os.kill(os.getpid(), signal.SIGKILL)
@@ -153,9 +144,9 @@ def write_and_be_killed(folder, episodes, keys):
 
 def test_the_death_of_its_process_takes_nothing(tmp_path):
     episodes = [episode(trial) for trial in range(30)]
-    keys = [digest_of_specification(one) for one in episodes]
+    keys = [episode_store.digest_of_specification(one) for one in episodes]
     write_and_be_killed(tmp_path, episodes, keys)
-    assert (tmp_path / f"{FILE_NAME}-wal").stat().st_size > 0
+    assert (tmp_path / f"{episode_store.FILE_NAME}-wal").stat().st_size > 0
     assert read_all(tmp_path, episodes, keys) == list(range(30))
 
 
@@ -163,9 +154,9 @@ def test_the_death_of_its_process_takes_nothing(tmp_path):
 def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
     """A power cut leaves less of the WAL than was written: then the first episodes are there, and no wrong one is."""
     episodes = [episode(trial) for trial in range(30)]
-    keys = [digest_of_specification(one) for one in episodes]
+    keys = [episode_store.digest_of_specification(one) for one in episodes]
     write_and_be_killed(tmp_path, episodes, keys)
-    wal = tmp_path / f"{FILE_NAME}-wal"
+    wal = tmp_path / f"{episode_store.FILE_NAME}-wal"
     os.truncate(wal, int(share * wal.stat().st_size))
     found = read_all(tmp_path, episodes, keys)
     assert found == list(range(len(found)))
@@ -176,7 +167,7 @@ def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
 def whole(tmp_path_factory) -> tuple[bytes, list[EpisodeSpec], list[bytes]]:
     folder = tmp_path_factory.mktemp("whole")
     episodes, keys = filled(folder)
-    return (folder / FILE_NAME).read_bytes(), episodes, keys
+    return (folder / episode_store.FILE_NAME).read_bytes(), episodes, keys
 
 
 @given(st.data())
@@ -188,20 +179,20 @@ def test_damage_is_never_a_wrong_number(whole, tmp_path_factory, data):
     for _ in range(data.draw(st.integers(0, 3))):
         damaged[data.draw(st.integers(0, len(content) - 1))] ^= 1 << data.draw(st.integers(0, 7))
     folder = tmp_path_factory.mktemp("damaged")
-    (folder / FILE_NAME).write_bytes(damaged[: data.draw(st.integers(0, len(content)))])
+    (folder / episode_store.FILE_NAME).write_bytes(damaged[: data.draw(st.integers(0, len(content)))])
     said = ""
     try:
         read_all(folder, episodes, keys)
-    except (StoreError, UsageError) as error:
+    except (episode_store.StoreError, UsageError) as error:
         said = str(error)
-    assert said == "" or said.startswith(str(folder / FILE_NAME))
+    assert said == "" or said.startswith(str(folder / episode_store.FILE_NAME))
     assert len(said.splitlines()) <= 1
 
 
 def test_two_do_not_share_a_store(tmp_path):
-    store = EpisodeStore(tmp_path / FILE_NAME)
+    store = episode_store.EpisodeStore(tmp_path / episode_store.FILE_NAME)
     with pytest.raises(UsageError, match="another process"):
-        EpisodeStore(tmp_path / FILE_NAME)
+        episode_store.EpisodeStore(tmp_path / episode_store.FILE_NAME)
     store.close()
 
 
@@ -223,9 +214,9 @@ class Counting:
 
 
 def test_nothing_is_run_twice_but_what_was_aborted(tmp_path):
-    store = EpisodeStore(tmp_path / FILE_NAME)
+    store = episode_store.EpisodeStore(tmp_path / episode_store.FILE_NAME)
     inner = Counting()
-    runner = StoringRunner(inner, store, CELL, threading.Event())
+    runner = episode_store.StoringRunner(inner, store, CELL, threading.Event())
     episodes = [episode(trial) for trial in range(6)]
     begun = runner.run(episodes[:5])
     first = [next(begun) for _ in range(4)]
@@ -237,18 +228,18 @@ def test_nothing_is_run_twice_but_what_was_aborted(tmp_path):
     assert [bits(log) for log in logs] == [bits(log_of(one)) for one in episodes]
     assert all(log.episode is one for log, one in zip(logs, episodes, strict=True))
     assert (runner.given, runner.read) == (10, 3)
-    other = StoringRunner(inner, store, OTHER, threading.Event())
+    other = episode_store.StoringRunner(inner, store, OTHER, threading.Event())
     assert len(list(other.run(episodes[:1]))) == 1
     assert inner.asked[-1] == 0
     store.close()
 
 
 def test_a_runner_that_is_to_stop_asks_for_nothing_more(tmp_path):
-    store, stop, inner = EpisodeStore(tmp_path / FILE_NAME), threading.Event(), Counting()
-    runner = StoringRunner(inner, store, CELL, stop).run([episode(0), episode(1), episode(3)])
+    store, stop, inner = episode_store.EpisodeStore(tmp_path / episode_store.FILE_NAME), threading.Event(), Counting()
+    runner = episode_store.StoringRunner(inner, store, CELL, stop).run([episode(0), episode(1), episode(3)])
     next(runner)
     stop.set()
-    with pytest.raises(StoppedError):
+    with pytest.raises(episode_store.StoppedError):
         next(runner)
     assert inner.asked == [0]
     store.close()

@@ -8,21 +8,8 @@ import numpy as np
 import pytest
 from common import run_skd
 from scipy import stats
-from skd_evaluator.extensions.fusion.estimate import (
-    LEAST_PAIRS,
-    alone,
-    alone_rate,
-    fitted_line,
-    fused,
-    fused_rate,
-    kurtosis,
-    rehearsed,
-    skewness,
-    trials_for_width,
-    trials_saved,
-    width_alone,
-    width_fused,
-)
+from skd_evaluator.extensions.fusion import estimate
+from skd_evaluator.extensions.fusion.estimate import alone
 from skd_evaluator.extensions.fusion.fusion import fuse, fused_figure, gap_of, trend
 from skd_evaluator.extensions.fusion.trials import FIGURES, Pairs, PhysicalTrial, paired
 from skd_evaluator.metrics.sample_size import nominal_confidence
@@ -37,18 +24,18 @@ def drawn(rng: np.random.Generator, rho: float, pairs: int, simulated: int = 200
 
 def test_the_fused_mean_is_the_line_at_the_mean_of_all():
     y, x, every = drawn(np.random.default_rng(1), 0.8, 12)
-    line, by_scipy = fitted_line(y, x), stats.linregress(x, y, alternative="greater")
+    line, by_scipy = estimate.fitted_line(y, x), stats.linregress(x, y, alternative="greater")
     assert line.slope == pytest.approx(by_scipy.slope)
     assert line.correlation == pytest.approx(by_scipy.rvalue)
     assert line.p_value == pytest.approx(by_scipy.pvalue)
-    found = fused(y, x, every, line)
+    found = estimate.fused(y, x, every, line)
     assert found.value == pytest.approx(by_scipy.intercept + by_scipy.slope * every.mean())
     # The error of a line at a place (any textbook), and of the place itself.
     at = by_scipy.intercept_stderr**2 + (by_scipy.stderr * every.mean()) ** 2
     at += 2.0 * every.mean() * (-x.mean() * by_scipy.stderr**2)
     expected = math.sqrt(at + line.slope**2 * every.var(ddof=1) / every.size)
     assert found.error == pytest.approx(expected)
-    assert skewness(y - y.mean()) == pytest.approx(stats.skew(y, bias=False))
+    assert estimate.skewness(y - y.mean()) == pytest.approx(stats.skew(y, bias=False))
 
 
 def test_symmetric_figures_have_student_s_interval():
@@ -71,7 +58,7 @@ def test_intervals_hold_and_are_narrower(rho, pairs, narrower):
     held, widths = 0, []
     for _ in range(600):
         y, x, every = drawn(rng, rho, pairs)
-        both = fused(y, x, every, fitted_line(y, x))
+        both = estimate.fused(y, x, every, estimate.fitted_line(y, x))
         held += both.interval[0] <= 0.0 <= both.interval[1]
         widths.append((alone(y).width, both.width))
     assert 0.93 <= held / 600 <= 0.98  # 3.5 standard errors about 95.5 %
@@ -81,11 +68,11 @@ def test_intervals_hold_and_are_narrower(rho, pairs, narrower):
 
 def test_saved_trials_are_those_that_an_interval_as_narrow_takes():
     for pairs, narrower in ((10, 0.5), (20, 0.62), (40, 0.9)):
-        saved = trials_saved(pairs, narrower, 0.95)
+        saved = estimate.trials_saved(pairs, narrower, 0.95)
         counts = np.array([pairs, pairs + saved - 1, pairs + saved])
         width = stats.t.ppf(0.975, counts - 1) / np.sqrt(counts)
         assert width[2] <= narrower * width[0] < width[1]
-    assert trials_saved(10, 1.1, 0.95) == 0
+    assert estimate.trials_saved(10, 1.1, 0.95) == 0
 
 
 def test_rates_hold_and_stay_rates():
@@ -100,10 +87,10 @@ def test_rates_hold_and_stay_rates():
         if not 3 <= hits.sum() <= 17:
             continue
         used += 1
-        found = fused_rate(hits, x[:20], x, fitted_line(hits, x[:20]))
+        found = estimate.fused_rate(hits, x[:20], x, estimate.fitted_line(hits, x[:20]))
         assert 0.0 <= found.interval[0] <= found.value <= found.interval[1] <= 1.0
         held += found.interval[0] <= 0.3 <= found.interval[1]
-        widths.append((alone_rate(groups).width, found.width))
+        widths.append((estimate.alone_rate(groups).width, found.width))
     first, second = np.mean(widths, axis=0)
     assert used > 300
     assert held / used >= 0.94
@@ -124,14 +111,14 @@ def test_a_nominal_collision_rate_counts_phi_alike():
     """The mean of the φ's rates and its error, by scipy; the interval by the quadratic equation that it solves."""
     groups = hits_of((1, 3), (3, 3), (0, 3), (2, 3), (0, 3), (1, 3), (0, 3), (3, 3))
     rates = [group.mean() for group in groups]
-    found = alone_rate(groups)
+    found = estimate.alone_rate(groups)
     assert found.value == pytest.approx(np.mean(rates))
     assert found.error == pytest.approx(stats.sem(rates))
     assert found.interval == pytest.approx(score_ends(np.mean(rates), stats.sem(rates), 24.0, stats.t.ppf(0.975, 7)))
     unequal = hits_of((1, 1), (0, 25), (2, 4), (0, 25), (1, 2), (0, 1))
     rates = [1.0, 0.0, 0.5, 0.0, 0.5, 0.0]
-    assert alone_rate(unequal).value == pytest.approx(1 / 3)
-    assert alone_rate(unequal).error == pytest.approx(stats.sem(rates))
+    assert estimate.alone_rate(unequal).value == pytest.approx(1 / 3)
+    assert estimate.alone_rate(unequal).error == pytest.approx(stats.sem(rates))
 
 
 def trials_of(values: np.ndarray, key: str = "clearance", **more: float) -> list[PhysicalTrial]:
@@ -166,7 +153,7 @@ def test_intervals_at_several_looks_have_the_confidence_of_one_of_them():
 def test_refusals_of_trials():
     y, _, every = drawn(np.random.default_rng(8), 0.9, 8)
     simulated = simulated_of(every)
-    few = trials_of(y[: LEAST_PAIRS - 1])
+    few = trials_of(y[: estimate.LEAST_PAIRS - 1])
     with pytest.raises(UsageError, match="at least 5 φ"):
         fuse(few * 4, simulated)
     with pytest.raises(UsageError, match="'phix' was not simulated; did you mean 'phi"):
@@ -227,18 +214,20 @@ def test_the_reach_is_that_of_the_studentised_mean_of_such_figures():
     drawn_ones = rng.exponential(size=(40_000, 12))
     studentised = (drawn_ones.mean(axis=1) - 1.0) / (drawn_ones.std(axis=1, ddof=1) / math.sqrt(12))
     above = -np.quantile(studentised, 0.025) / stats.t.ppf(0.975, 11)
-    reach = rehearsed(every, 12, 0.95, by_line=False, mirrored=False, least=0.0)
+    reach = estimate.rehearsed(every, 12, 0.95, by_line=False, mirrored=False, least=0.0)
     assert reach[1] == pytest.approx(above, rel=0.12)  # 3.5 standard errors of a quantile of 2,000 draws
     assert reach[0] == 1.0
-    assert rehearsed(every, 12, 0.95, by_line=False, mirrored=True, least=0.0) == reach[::-1]
-    shuffled = rehearsed(7.0 + 3.0 * rng.permutation(every), 12, 0.95, by_line=False, mirrored=False, least=0.0)
+    assert estimate.rehearsed(every, 12, 0.95, by_line=False, mirrored=True, least=0.0) == reach[::-1]
+    shuffled = estimate.rehearsed(
+        7.0 + 3.0 * rng.permutation(every), 12, 0.95, by_line=False, mirrored=False, least=0.0
+    )
     assert shuffled == pytest.approx(reach)
 
 
 def test_few_trials_of_a_figure_that_few_phi_decide_are_refused():
     rng = np.random.default_rng(14)
     every = np.where(np.arange(2000) % 40 == 0, 9.0, 0.1 * rng.random(2000))
-    assert kurtosis(every) == pytest.approx(stats.kurtosis(every, fisher=False))
+    assert estimate.kurtosis(every) == pytest.approx(stats.kurtosis(every, fisher=False))
     y = every[:12] + 0.2 * rng.random(12)
     with pytest.raises(UsageError, match=r"a few φ decide the mean.*at least 20 φ"):
         fuse(trials_of(y, "required_deceleration"), simulated_of(every, "required_deceleration"))
@@ -249,7 +238,7 @@ def test_a_simulator_that_is_right_so_far_may_be_wrong_some_day():
     y, _, every = drawn(np.random.default_rng(16), 0.95, 12)
     figures = [FIGURES[key] for key in ("margin", "required_deceleration")]
     plain, partly = (fused_figure(one, paired_of(y + 5.0, every + 5.0, one.key), 0.95).stands for one in figures)
-    line = fitted_line(y, every[:12])
+    line = estimate.fitted_line(y, every[:12])
     expected = math.sqrt((10.0 * line.residual + np.var(y, ddof=1)) / (11.0 * line.residual))
     assert partly.value == plain.value
     assert partly.error / plain.error == pytest.approx(expected, rel=0.02)  # but for the error of the simulated mean
@@ -267,26 +256,26 @@ def test_expected_widths_are_those_of_drawn_trials(rho, trials):
     for _ in range(2000):
         x, other = rng.standard_normal((2, trials))
         y, centre = rho * x + math.sqrt(1.0 - rho**2) * other, rng.standard_normal() / math.sqrt(500.0)
-        line = fitted_line(y, x)
+        line = estimate.fitted_line(y, x)
         squared = line.residual * (1.0 / trials + (centre - x.mean()) ** 2 / line.spread)
         error = math.sqrt(squared + (line.slope or 0.0) ** 2 / 500)
         alone, both = stats.t.ppf(0.975, [trials - 1, trials - 2])
         widths.append((2.0 * alone * stats.sem(y), 2.0 * both * error))
     alone, both = np.mean(widths, axis=0)
-    assert width_alone(trials, 1.0) == pytest.approx(alone, rel=0.02)
-    assert width_fused(trials, 1.0, rho, 500) == pytest.approx(both, rel=0.03)
+    assert estimate.width_alone(trials, 1.0) == pytest.approx(alone, rel=0.02)
+    assert estimate.width_fused(trials, 1.0, rho, 500) == pytest.approx(both, rel=0.03)
 
 
 def test_the_least_number_of_trials():
     for width in (0.5, 1.0):
-        alone = trials_for_width(width, 1.0)
-        both = trials_for_width(width, 1.0, 0.9, 5000)
+        alone = estimate.trials_for_width(width, 1.0)
+        both = estimate.trials_for_width(width, 1.0, 0.9, 5000)
         assert alone is not None
         assert both is not None
-        assert width_alone(alone, 1.0) <= width < width_alone(alone - 1, 1.0)
+        assert estimate.width_alone(alone, 1.0) <= width < estimate.width_alone(alone - 1, 1.0)
         assert both < alone / 2
-    assert trials_for_width(0.01, 1.0, 0.9, 50) is None  # what 50 simulated φ leave open is wider
-    assert trials_for_width(9.0, 1.0) == 5
+    assert estimate.trials_for_width(0.01, 1.0, 0.9, 50) is None  # what 50 simulated φ leave open is wider
+    assert estimate.trials_for_width(9.0, 1.0) == 5
 
 
 PLAN = ("fuse", "--figure", "clearance", "--width", "0.1")
@@ -313,7 +302,7 @@ def test_the_command_plans_with_what_was_fused(fused_plan: Path, capsys: pytest.
     assert said["deviation"] == pytest.approx(found["deviation"])
     assert said["correlation"] == pytest.approx(found["correlation"])
     known = next(row for row in said["with_simulator"] if row["correlation"] == said["correlation"])
-    assert known["trials"] == trials_for_width(0.1, said["deviation"], said["correlation"], 400)
+    assert known["trials"] == estimate.trials_for_width(0.1, said["deviation"], said["correlation"], 400)
     assert said["physical_alone"] > 2 * known["trials"]
     assert run_skd(*words, "--correlation", "0.6") == 0
     assert "where ρ = 0.60" in capsys.readouterr().out
