@@ -55,26 +55,6 @@ def _ranking(figures: Mapping[str, Any]) -> Mapping[str, Any]:
     return found
 
 
-def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a row for each kind of failure, the most frequent first, with those that are kept and their places."""
-    found = formats.failures_in(figures)
-    names = [row["name"] for row in figures["per_safe_trajectory"]]
-    kept = enumerate(formats.kept_failures(figures))  # kind by kind, as in the file
-    return [
-        {
-            "kind": group["kind"],
-            "share": formats.percent(group["share"], 0) if group["share"] >= 0.005 else "< 1 %",
-            "hits": str(group["hits"]),
-            "nearest": [
-                {"place": place, "phi": names[where["safe_trajectory"]], "likely": one.likely,
-                 "speed": formats.number(where["impact_speed"], 1, "m/s")}
-                for where, (place, one) in zip(group["nearest"], kept, strict=False)
-            ],
-        }
-        for group in (found["kinds"] if found else ())
-    ]  # fmt: skip
-
-
 def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> Iterator[FigureRow]:
     ranking = _ranking(figures)
     phis = formats.counted(len(figures["per_safe_trajectory"]), "φ")

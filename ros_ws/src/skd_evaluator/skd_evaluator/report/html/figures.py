@@ -130,15 +130,6 @@ def _overlap(one: Sequence[float] | None, other: Sequence[float] | None) -> bool
     return one is None or other is None or (one[0] <= other[1] and other[0] <= one[1])
 
 
-def surrogate_cells(figures: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
-    """Return each surrogate measure, and for each group of episodes its median, the worst, and where it is defined."""
-    count = len(formats.surrogate_groups(figures))
-    return [
-        (name, ["; ".join(texts[3 * place : 3 * place + 3]) for place in range(count)])
-        for name, texts in formats.surrogate_rows(figures)
-    ]
-
-
 def same_safe(subject: Subject) -> list[str]:
     """Return the names of φ that are one and the same: assessment.json counts the runs along them together."""
     names = [str(row["name"]) for row in subject.figures["per_safe_trajectory"]]
@@ -149,13 +140,13 @@ def same_safe(subject: Subject) -> list[str]:
 
 
 def matrix_of(subjects: Sequence[Subject]) -> dict[str, Any] | None:
-    """Return the names of scenarios, and for each car and scenario its assessments; None unless both are several."""
+    """Return the names of scenarios, and for each car and scenario its results; None unless both are several."""
     cars, scenarios = list(dict.fromkeys(str(one.figures["car"]) for one in subjects)), scenarios_of(subjects)
     if len(cars) < 2 or len(scenarios) < 2:
         return None
-    cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    cells: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for one in subjects:
-        cells.setdefault((str(one.figures["car"]), one.scenario.name), []).append(_cell(one))
+        cells.setdefault((str(one.figures["car"]), one.scenario.name), []).append(one.figures)
     rows = [(car, [cells.get((car, name), []) for name in scenarios]) for car in cars]
     return {"scenarios": scenarios, "rows": rows}
 
@@ -164,14 +155,3 @@ def by_scenario(subjects: Sequence[Subject]) -> list[int]:
     """Return the places of subjects, those of one scenario together."""
     order = scenarios_of(subjects)
     return sorted(range(len(subjects)), key=lambda place: (order.index(subjects[place].scenario.name), place))
-
-
-def _cell(one: Subject) -> dict[str, Any]:
-    """Return margin, its interval, nominal collision rate, and whether the search had not converged, as shown."""
-    figures = one.figures
-    return {
-        "margin": formats.bounded(figures, formats.number(figures["margin"])),
-        "interval": formats.number(figures["margin_ci95"]),
-        "hit": formats.percent(figures["nominal_collision_rate"]),
-        "unsure": figures["margin_converged"] is False,
-    }
