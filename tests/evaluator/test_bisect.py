@@ -11,7 +11,7 @@ import pytest
 from cli_support import BRAKE, CROSSING, SMALL, one_line, skd
 from skd_evaluator import load_result
 from skd_evaluator.assessment.from_options import plan_of
-from skd_evaluator.cli.commands.assess import _begun, _digest
+from skd_evaluator.cli.assessment import begun_with, digest_of_inputs
 from skd_evaluator.cli.main import main
 from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.margin.paired_test import ERROR, SCALE, e_values, level_of
@@ -166,7 +166,7 @@ def test_a_night_is_of_all_files_and_options_but_the_earlier_result(tmp_path, mo
         words = ["assess", "--safe", "phi.csv", "--controller", "cars.py:Brake", *more]
         arguments = parse(make_parser(["assess"]), words)
         arguments.command_line = ["skd", *words]
-        return _digest(_begun(arguments, plan_of(vars(arguments), load_scenario("crossing"))), arguments)
+        return digest_of_inputs(begun_with(arguments, plan_of(vars(arguments), load_scenario("crossing"))), arguments)
 
     same = digest()
     assert same == digest("--warm-start", "first") is not None

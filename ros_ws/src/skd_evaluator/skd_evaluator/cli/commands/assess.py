@@ -3,44 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import os
-import shlex
-import shutil
-import threading
-import time
-from collections.abc import Mapping
-from contextlib import nullcontext
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli.arguments import (
-    DETAILS,
-    Parser,
-    graph_options,
-    parameters_of,
-    positive_number,
-    rare,
-    result_folder,
-    runner_of,
-)
-from skd_evaluator.cli.gate import Gate, add_gate_arguments, gate_of
-from skd_evaluator.cli.output import EXIT_INTERRUPTED, print_json, say
+from skd_evaluator.cli.arguments import DETAILS, Parser, parameters_of, positive_number, rare
+from skd_evaluator.cli.gate import add_gate_arguments, gate_of
 from skd_evaluator.cli.parser import make_parser, parse
-from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import UNFINISHED
-
-if TYPE_CHECKING:  # help reads this module, and they take time
-    from skd_evaluator.assessment.assessment import Assessment
-    from skd_evaluator.assessment.context import Runner
-    from skd_evaluator.assessment.files.result_folder import ResultFolder, Scratch
-    from skd_evaluator.assessment.files.results import StoredResult
-    from skd_evaluator.assessment.plan import Plan
 
 
 def add(parser: Parser) -> None:
@@ -68,98 +40,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     gate = gate_of(arguments)
     with gate.watch(arguments.controller):
-        return _run(arguments, gate)
+        from skd_evaluator.cli.assessment import run_assessment  # it takes time to import
 
-
-def _run(arguments: argparse.Namespace, gate: Gate) -> int:
-    from skd_sim.simulators.simulator import make_simulator
-
-    from skd_evaluator.assessment.assessment import Assessment
-    from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
-    from skd_evaluator.assessment.stages.pipeline import compile_for_graph
-    from skd_evaluator.cli.results import print_result
-    from skd_evaluator.provenance import provenance
-    from skd_evaluator.report.progress import progress_bar
-    from skd_evaluator.ros.session import prepare_ros
-
-    begin = time.perf_counter()
-    if arguments.resume is not None:
-        arguments.command_line = ["skd", *arguments.begun]
-    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
-    plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=arguments.graph))
-    make_simulator(plan.simulator)
-    request = requested(arguments)
-    for option in ("curve", "until_width", "scheduler"):
-        if arguments.graph and getattr(arguments, option):
-            raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
-    if arguments.record and not arguments.graph:
-        raise UsageError("--record keeps the bags of the node graph: add --graph")
-    if arguments.graph:
-        prepare_ros(graph_options(arguments))
-    if arguments.resume is None and arguments.out and not arguments.overwrite and _is_unfinished(arguments.out):
-        raise UsageError(f"--out {arguments.out}: was interrupted; --resume goes on with it, --overwrite begins anew")
-    out = result_folder(arguments)
-    begun = _begun(arguments, plan)
-    origin = provenance(arguments.command_line, plan.car, controller_command=arguments.controller_command or "")
-    origin |= {"inputs_sha256": _digest(begun, arguments)}
-    assessment = Assessment(plan, provenance=origin)
-    if (earlier := request["earlier"]) is not None and origin["inputs_sha256"] and "margin" in earlier.groups:
-        before = earlier.figures.get("provenance") or {}
-        if before.get("inputs_sha256") == origin["inputs_sha256"]:
-            return _confirmed(earlier, arguments, origin, out, gate, begin)
-    kept = _KeptEpisodes(arguments, begun, out.path)
-    done = True
-    try:
-        if arguments.graph:
-            compile_for_graph(plan, request["objectives"])
-        with out.scratch() if arguments.graph else nullcontext() as scratch:
-            with progress_bar(quiet=arguments.quiet, steps=_steps(plan, request)) as progress:
-                assessment = _run_stages(arguments, assessment, {**request, "progress": progress}, kept, scratch)
-            assessment = replace(assessment, seconds=time.perf_counter() - begin)
-            problem = out.save(lambda folder: _write(folder, assessment, arguments, scratch))
-        done = problem is None
-    except KeyboardInterrupt:
-        done = False
-        return kept.interrupted()
-    except (AssessmentError, OutOfReachError) as error:
-        done = not (arguments.graph or arguments.scheduler)  # else it is likely not the car's fault
-        raise error if done else kept.failed(error) from error
-    finally:
-        kept.close(done=done)
-    return print_result(assessment, out, arguments, gate, problem)
-
-
-def _confirmed(
-    earlier: StoredResult,
-    arguments: argparse.Namespace,
-    now: Mapping[str, Any],
-    out: ResultFolder,
-    gate: Gate,
-    begin: float,
-) -> int:
-    """Write an earlier result again, of which every hit of the margin comes again, and return the exit code.
-
-    Raises:
-        AssessmentError: a hit does not.
-    """
-    from skd_evaluator.assessment.files.result_folder import write_json
-    from skd_evaluator.assessment.files.results import read_checked
-    from skd_evaluator.cli.results import print_result
-    from skd_evaluator.margin.common_trajectories import check_repeats
-    from skd_evaluator.report.progress import progress_bar
-
-    with progress_bar(quiet=arguments.quiet) as progress:
-        check_repeats(earlier, progress)
-    how = f"as in {earlier.folder}: the same car and options, and each hit came again"
-    stored = replace(read_checked(earlier.folder)[2], seconds=time.perf_counter() - begin)
-    figures = {**earlier.figures, "provenance": now, "margin_how": how, "seconds": stored.seconds}
-
-    def write(folder: Path) -> None:
-        shutil.copytree(earlier.folder, folder, dirs_exist_ok=True)
-        write_json(folder / "assessment.json", figures)
-
-    problem = out.save(write)
-    return print_result(stored, out, arguments, gate, problem, result=figures)
+        return run_assessment(arguments, gate)
 
 
 def unfinished(out: Path) -> Path:
@@ -167,7 +50,8 @@ def unfinished(out: Path) -> Path:
     return out.with_name(f"{out.name}{UNFINISHED}")
 
 
-def _is_unfinished(out: Path) -> bool:
+def is_unfinished(out: Path) -> bool:
+    """Return whether episodes of an interrupted assessment are kept beside a folder."""
     return os.path.isfile(unfinished(out))  # noqa: PTH113 - which is false of a name that no file can have
 
 
@@ -208,214 +92,8 @@ def _to_resume(arguments: argparse.Namespace) -> Path:
             raise UsageError("--resume: nothing in skd_results was interrupted; name its folder")
         return Path(found[0])
     out = Path(named)
-    if not _is_unfinished(out):
+    if not is_unfinished(out):
         complete = (out / "assessment.json").is_file() and not arguments.overwrite
         why = "it is complete" if complete else "no interrupted assessment is kept"
         raise UsageError(f"--resume: nothing to go on with in {out}: {why}")
     return out
-
-
-def requested(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what the options request of the stages, as arguments of `Context`."""
-    from skd_sim.options.adversary import objectives_named
-
-    from skd_evaluator.assessment.files.results import read_result
-    from skd_evaluator.assessment.stages.risk import risk_request
-
-    return {
-        "objectives": objectives_named(arguments.objective),
-        "margin_limit": arguments.margin_limit,
-        "earlier": read_result(Path(arguments.warm_start)) if arguments.warm_start else None,
-        "curve": arguments.curve,
-        "reference": arguments.reference,
-        "until_width": arguments.until_width,
-        "risk": risk_request(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset),
-        "say": partial(say, arguments.command),
-    }
-
-
-def _run_stages(
-    arguments: argparse.Namespace,
-    assessment: Assessment,
-    request: dict[str, Any],
-    kept: _KeptEpisodes,
-    scratch: Scratch | None,
-) -> Assessment:
-    """Return the assessment with all stages run in process, or through a graph, which has a scratch folder."""
-    from skd_evaluator.assessment.context import Context
-    from skd_evaluator.assessment.stages.checks import fresh_process
-    from skd_evaluator.assessment.stages.pipeline import assess_in_process
-    from skd_evaluator.ros.processes import GraphSetting
-    from skd_evaluator.ros.session import assess_through_graph
-
-    plan = assessment.plan
-    if scratch is None:
-        limit = arguments.startup_timeout
-        workers = runner_of(arguments, isolated=plan.runs_others_code, answer_limit=limit)
-        context = Context(kept.runner(workers), workers, fresh=partial(fresh_process, limit), **request)
-        return assess_in_process(context, assessment)
-    bags = scratch.folder / "bags" if arguments.record else None
-    options, simulator = graph_options(arguments), plan.simulator
-    setting = GraphSetting(options=options, car=plan.car, log_folder=scratch.logs, simulator=simulator, record_to=bags)
-    return assess_through_graph(assessment, setting, request, kept.runner)
-
-
-def _steps(plan: Plan, request: Mapping[str, Any]) -> list[str]:
-    """Return how the labels of each step of an assessment begin, in order."""
-    from skd_evaluator.assessment.options import GENERATED
-    from skd_evaluator.assessment.stages.car_model import needs_learning
-
-    steps = ["learning the car"] if needs_learning(plan) else []
-    steps += ["safe trajectories"] if plan.safe in GENERATED else []
-    steps += ["nominal runs", "kamikazes", *(["margin"] if request["margin_limit"] else [])]
-    steps += ["risk"] if request["risk"].behaviour is not None else []
-    return [*steps, "price of caution"]
-
-
-def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, scratch: Scratch | None) -> None:
-    """Write an assessment, with its pictures if they are requested, and what a graph left."""
-    from skd_evaluator.assessment.files.results import write_assessment
-    from skd_evaluator.report.presentation import fill, with_scratch
-
-    def write(where: Path) -> None:
-        if arguments.pictures:
-            fill(where, assessment, may_fork=scratch is None)
-        else:
-            write_assessment(where, assessment)
-
-    (write if scratch is None else with_scratch(scratch.folder, write))(folder)
-
-
-class _KeptEpisodes:
-    """Episodes that are kept as soon as they have run, until the results are written."""
-
-    def __init__(self, arguments: argparse.Namespace, begun: Mapping[str, Any], out: Path) -> None:
-        """Open the file, or begin it.
-
-        Args:
-            arguments: of the command.
-            begun: what the episodes follow from; see `_begun`.
-            out: folder of the results.
-
-        Raises:
-            UsageError: --resume is given, and what is kept is of other options, files or versions; says which.
-        """
-        from skd_evaluator.assessment.files.episode_store import EpisodeStore, remove_files
-
-        self._arguments, self._out, self._path = arguments, out, unfinished(out)
-        if arguments.resume is None:
-            remove_files(self._path)
-        self._store = EpisodeStore(self._path)
-        if not (then := self._store.about()):
-            self._store.write_about(begun)
-            return
-        try:
-            _check_the_same(then, begun)
-        except UsageError:
-            self._store.close()
-            raise
-
-    def runner(self, runner: Runner) -> Runner:
-        """Return a runner that reads what there is, and keeps what it runs."""
-        from skd_evaluator.assessment.files.episode_store import StoringRunner
-
-        return StoringRunner(runner, self._store, b"", threading.Event())
-
-    def _count(self) -> str:
-        number = self._store.count()
-        return f"{number} episode{'s' if number != 1 else ''} kept in {self._path}" if number else ""
-
-    def _go_on(self) -> str:
-        """Return the command that goes on."""
-        from skd_evaluator.report.repeat import program
-
-        return shlex.join([program(), "assess", "--resume", str(self._out)])
-
-    def interrupted(self) -> int:
-        """Say in one line how to go on, and return the exit code."""
-        if self._arguments.json:
-            print_json({"interrupted": True, "episodes": self._store.count(), "resume": self._go_on()})
-        kept = self._count()
-        anew = "" if self._arguments.graph else "; margin, risk and price begin anew"
-        again = f"{kept}{anew}; go on with: {self._go_on()}" if kept else "nothing was written"
-        say(self._arguments.command, f"interrupted; {again}")
-        return EXIT_INTERRUPTED
-
-    def failed(self, error: AssessmentError | OutOfReachError) -> AssessmentError | OutOfReachError:
-        """Return the error with how to go on."""
-        kept = self._count()
-        return type(error)(f"{error}; {kept}; go on with: {self._go_on()}") if kept else error
-
-    def close(self, *, done: bool) -> None:
-        """Let go of the file; remove it when the results are written, or nothing is in it."""
-        if done or not self._store.count():
-            self._store.remove()
-        else:
-            self._store.close()
-
-
-def _begun(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
-    """Return what the episodes of an assessment follow from, as plain data, and how it was begun."""
-    from skd_sim.options.options import options_of
-
-    from skd_evaluator.assessment.options import OF_NO_RESULT, AssessmentOptions, CampaignOptions, GraphOptions
-    from skd_evaluator.provenance import code_files, environment, sums_of
-
-    tables = (CampaignOptions, AssessmentOptions, GraphOptions)
-    names = {one.name for table in tables for one in options_of(table) if "assess" in one.commands}
-    names = (names | {"graph", "scenario", "until_width"}) - OF_NO_RESULT - {"name"}
-    return {
-        "words": arguments.command_line[2:],
-        "folder": str(Path.cwd()),
-        "options": {name: str(getattr(arguments, name)) for name in sorted(names)},
-        "scenario": plan.scenario.as_dict(),
-        "files": code_files(plan.car, arguments.controller_command or ""),
-        "inputs": sums_of(map(str, filter(None, (arguments.safe, arguments.behaviour, arguments.car_model)))),
-        "environment": dict(environment()),
-    }
-
-
-def _digest(begun: Mapping[str, Any], arguments: argparse.Namespace) -> str | None:
-    """Return the SHA-256 of all that an assessment follows from; None where that is not known, or need not repeat.
-
-    So it is of a graph, and of plug-ins beside the car.
-    """
-    from skd_sim.options.adversary import OBJECTIVES, objectives_named
-    from skd_sim.options.car_under_test import is_own_world
-
-    from skd_evaluator.provenance import MOST_FILES
-
-    own = all(name in OBJECTIVES.own for name in objectives_named(arguments.objective))
-    known = begun["files"] is not None and len(begun["inputs"]) < MOST_FILES
-    if arguments.graph or not (known and own and is_own_world(arguments.simulator)):
-        return None
-    options = {**begun["options"], "warm_start": "", "max_aborted": arguments.max_aborted}
-    content = {**begun, "words": [], "options": options}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _check_the_same(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Refuse to go on where an option, a file or a version has changed, and say which.
-
-    New files are named and accepted: what ran before did not read them.
-
-    Raises:
-        UsageError: something has changed.
-    """
-    from skd_evaluator.assessment.files.episode_store import changes
-
-    new = []
-    for key, (first, second) in changes({**then, "words": 0}, {**now, "words": 0}).items():
-        part, _, name = key.partition(".")
-        what, advice = f"{name} was {first} and is now {second}", "put it back"
-        if part == "options":
-            what, advice = f"--{name.replace('_', '-')} was {first} and is now {second}", "leave it out"
-        elif part in ("files", "inputs") and first is None:
-            new.append(name)
-            continue
-        elif part in ("files", "inputs"):
-            what = f"{name} {'has gone' if second is None else 'has changed'}"
-        raise UsageError(f"--resume: {what}; {advice}, or begin anew with --overwrite")
-    if new:
-        more = f" and {len(new) - 1} more" if len(new) > 1 else ""
-        say("assess", f"--resume: new since then, and taken for no part of the car: {new[0]}{more}")
