@@ -106,6 +106,16 @@ def replace_file(path: Path, text: str) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def unfinished(out: Path) -> Path:
+    """Return the file beside the results in which episodes are kept until these are written."""
+    return out.with_name(f"{out.name}{UNFINISHED}")
+
+
+def is_unfinished(out: Path) -> bool:
+    """Return whether episodes of an interrupted assessment are kept beside a folder."""
+    return os.path.isfile(unfinished(out))  # noqa: PTH113 - which is false of a name that no file can have
+
+
 def umask() -> int:
     """Return the mask of permissions that new files of this process do not get."""
     mask = os.umask(0)

@@ -35,11 +35,11 @@ from skd_evaluator.assessment.stages.checks import fresh_process
 from skd_evaluator.assessment.stages.pipeline import assess_in_process, compile_for_graph
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.cli.arguments import graph_options, result_folder, runner_of
-from skd_evaluator.cli.commands.assess import is_unfinished, unfinished
 from skd_evaluator.cli.gate import Gate
 from skd_evaluator.cli.output import EXIT_INTERRUPTED, print_json, say
 from skd_evaluator.cli.results import print_result
 from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.files import is_unfinished, unfinished
 from skd_evaluator.margin.common_trajectories import check_repeats
 from skd_evaluator.provenance import MOST_FILES, code_files, environment, provenance, sums_of
 from skd_evaluator.report.presentation import fill, with_scratch

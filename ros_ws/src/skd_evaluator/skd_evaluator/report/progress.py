@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from rich import progress as shown_progress
+from rich import progress as bars
 from rich.console import Console
 from rich.text import Text
 from skd_sim.kernels.compilation import on_compiling
@@ -48,17 +48,17 @@ def progress_bar(*, quiet: bool = False, steps: Sequence[str] = ()) -> Iterator[
             on_compiling.clear()
 
 
-class _Done(shown_progress.MofNCompleteColumn):
+class _Done(bars.MofNCompleteColumn):
     """How many of how many parts are done; nothing where that is not known."""
 
-    def render(self, task: shown_progress.Task) -> Text:
+    def render(self, task: bars.Task) -> Text:
         return super().render(task) if task.total is not None else Text("")
 
 
-class _Left(shown_progress.TimeRemainingColumn):
+class _Left(bars.TimeRemainingColumn):
     """The time that is left; nothing where that is not known."""
 
-    def render(self, task: shown_progress.Task) -> Text:
+    def render(self, task: bars.Task) -> Text:
         return super().render(task).append(" left") if task.time_remaining else Text("")
 
 
@@ -67,9 +67,9 @@ _Shown = tuple[CampaignProgress, Callable[[str], None]]
 
 @contextmanager
 def _on_terminal(numbered: Callable[[str], str]) -> Iterator[_Shown]:
-    said, bar = shown_progress.TextColumn("{task.description}"), shown_progress.BarColumn(bar_width=16)
-    columns = said, bar, _Done(), shown_progress.TimeElapsedColumn(), _Left(compact=True)
-    with shown_progress.Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    said, bar = bars.TextColumn("{task.description}"), bars.BarColumn(bar_width=16)
+    columns = said, bar, _Done(), bars.TimeElapsedColumn(), _Left(compact=True)
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("starting", total=None)
         lock, shown = threading.Lock(), ""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.cli.arguments import DETAILS, Parser, parameters_of, positive_number, rare
 from skd_evaluator.cli.gate import add_gate_arguments, gate_of
 from skd_evaluator.cli.parser import make_parser, parse
-from skd_evaluator.files import UNFINISHED
+from skd_evaluator.files import UNFINISHED, is_unfinished, unfinished
 
 
 def add(parser: Parser) -> None:
@@ -43,16 +42,6 @@ def run(arguments: argparse.Namespace) -> int:
         from skd_evaluator.cli.assessment import run_assessment  # it takes time to import
 
         return run_assessment(arguments, gate)
-
-
-def unfinished(out: Path) -> Path:
-    """Return the file beside the results in which episodes are kept until these are written."""
-    return out.with_name(f"{out.name}{UNFINISHED}")
-
-
-def is_unfinished(out: Path) -> bool:
-    """Return whether episodes of an interrupted assessment are kept beside a folder."""
-    return os.path.isfile(unfinished(out))  # noqa: PTH113 - which is false of a name that no file can have
 
 
 def _given_elsewhere(arguments: argparse.Namespace) -> dict[str, Any]:
