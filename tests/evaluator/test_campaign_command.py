@@ -22,10 +22,9 @@ from skd_evaluator.assessment.files.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import OutOfReachError
-from skd_evaluator.extensions.campaign import command
+from skd_evaluator.extensions.campaign import results
 from skd_evaluator.extensions.campaign.campaign import CampaignFolder
-from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cells import make_cells
+from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Mode
 
@@ -195,7 +194,7 @@ class Fleeting(InProcessRunner):
 
 def test_a_cluster_that_is_gone_ends_the_campaign_and_fails_no_cell(here, skd_here, monkeypatch):
     write(here, TWO, kamikaze_count=3)
-    monkeypatch.setattr(command, "runner_of", lambda _arguments, **_more: Fleeting(1))
+    monkeypatch.setattr(results, "runner_of", lambda _arguments, **_more: Fleeting(1))
     done = skd_here("campaign", "campaign.yaml", "--workers", "1", "--out", "out")
     go_on = "go on with: skd campaign campaign.yaml --workers 1 --out out --resume"
     one_line(done, 1, "tcp://nowhere:8786 is gone; 0 of 2 cells done, and 2 episodes of the others kept", go_on)

@@ -7,8 +7,7 @@ import pytest
 import yaml
 from cli_support import CROSSING
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED
-from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cells import make_cells
+from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from cli_support import SMALL, names, one_line
-from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cells import make_cells
+from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 SCENARIO = "name: mine\ndescription: mine\nextends: cpna-75\ncar:\n  start_speed: 5.0\n"

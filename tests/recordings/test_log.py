@@ -15,7 +15,7 @@ from skd_evaluator.assessment.stages.margin import exact_or_found
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.tracks import Track
 from skd_evaluator.cli.main import main
-from skd_evaluator.extensions.campaign.campaign_file import read_campaign
+from skd_evaluator.extensions.campaign.cells import read_campaign
 from skd_evaluator.extensions.log.conflicts import Conflict, ConflictRequest, conflicts_in
 from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, path_at, read_drives, steady_state
 from skd_sim.scenario.scenario import changed_scenario, load_scenario

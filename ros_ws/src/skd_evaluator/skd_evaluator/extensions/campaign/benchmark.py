@@ -14,7 +14,6 @@ from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.cli.arguments import Parser
 from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish
-from skd_evaluator.extensions.campaign.command import run_combinations
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.results import StoredResult
@@ -47,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.assessment.files.results import read_result
-    from skd_evaluator.extensions.campaign.campaign_file import read_campaign
+    from skd_evaluator.extensions.campaign.cells import read_campaign
+    from skd_evaluator.extensions.campaign.results import run_combinations
     from skd_evaluator.report.charts import PRICE_CAPTION, ChartedCar, coloured, price_chart, save_charts
 
     done = run_combinations(read_campaign(FILE, [_entry(car) for car in arguments.cars]), arguments)
