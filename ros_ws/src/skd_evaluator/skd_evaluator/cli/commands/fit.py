@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
 
 from skd_evaluator.cli.arguments import Parser, result_folder
 from skd_evaluator.cli.output import finish
-
-if TYPE_CHECKING:
-    from skd_evaluator.risk.behaviour.tracks import Tracked
 
 BEHAVIOUR = "behaviour.png"
 
@@ -90,14 +84,15 @@ def _fit_car(arguments: argparse.Namespace) -> int:
 def _fit_people(arguments: argparse.Namespace) -> int:
     from skd_sim.scenario.road_user import ROAD_USERS
 
+    from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.bags.checks import Damage
     from skd_evaluator.cli.results import say_damage
     from skd_evaluator.metrics.behaviour.model import FILE_NAME, write_behaviour
     from skd_evaluator.report.fit import behaviour_table, save_behaviour, validation_table
     from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.report.terminal import print_table
-    from skd_evaluator.risk.behaviour.fit import HORIZONS, QUANTILES, behaviour_of, fit_behaviour
-    from skd_evaluator.risk.behaviour.tracks import TIME_STEP, WITHIN, read_tracks, validate
+    from skd_evaluator.risk.behaviour.fit import HORIZONS, LEAST_TRACKS, QUANTILES, behaviour_of, fit_behaviour
+    from skd_evaluator.risk.behaviour.tracks import TIME_STEP, WITHIN, folds_of, read_tracks, validate
 
     begin = time.perf_counter()
     if arguments.kind not in ROAD_USERS:
@@ -106,7 +101,11 @@ def _fit_people(arguments: argparse.Namespace) -> int:
     damage = Damage(skip=arguments.skip_damaged)
     tracks = read_tracks(arguments.paths, damage, arguments.kind)
     say_damage("fit", damage)
-    _check_enough(tracks)
+    by, folds = folds_of(tracks)
+    left = min(len(folds) - folds.count(fold) for fold in set(folds))
+    if left < LEAST_TRACKS:
+        held = f"{len(tracks)} tracks, of which {left} are left when those of one {by} are held out"
+        raise UsageError(f"{held}; a behaviour model needs at least {LEAST_TRACKS}")
     with progress_bar(quiet=arguments.quiet) as progress:
         validation = validate(tracks, lambda done, of: progress("fits without a part", done, of))
         fit = fit_behaviour([one.positions for one in tracks], TIME_STEP)
@@ -116,8 +115,7 @@ def _fit_people(arguments: argparse.Namespace) -> int:
 
     def write(folder: Path) -> None:
         write_behaviour(folder / FILE_NAME, behaviour)
-        content = json.dumps(validation.as_dict(), indent=2)
-        (folder / "validation.json").write_text(f"{content}\n", encoding="utf-8")
+        write_json(folder / "validation.json", validation.as_dict())
         walked = [one.positions for one in tracks]
         tables = (validation.recorded, validation.predicted)
         save_behaviour(folder / BEHAVIOUR, walked, validation.example, HORIZONS, QUANTILES, tables)
@@ -133,15 +131,3 @@ def _fit_people(arguments: argparse.Namespace) -> int:
     warnings = [f"a quantile of people held out is {off}: {why}"] if validation.worst > WITHIN else []
     content = {**behaviour.as_dict(), "validation": validation.as_dict()}
     return finish(arguments, content, show, warnings, saved=saved, since=begin)
-
-
-def _check_enough(tracks: Sequence[Tracked]) -> None:
-    """Refuse tracks of which too few are left when a part is held out."""
-    from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS
-    from skd_evaluator.risk.behaviour.tracks import folds_of
-
-    by, folds = folds_of(tracks)
-    left = min(len(folds) - folds.count(fold) for fold in set(folds))
-    if left < LEAST_TRACKS:
-        held = f"{len(tracks)} tracks, of which {left} are left when those of one {by} are held out"
-        raise UsageError(f"{held}; a behaviour model needs at least {LEAST_TRACKS}")

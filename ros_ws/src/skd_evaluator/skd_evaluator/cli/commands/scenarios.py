@@ -19,6 +19,17 @@ if TYPE_CHECKING:
     from skd_sim.scenario.scenario import Scenario
 
 _KMH = 3.6
+_CAMPAIGN = """\
+# {names} at {speeds} km/h
+defaults:
+  safe: regulatory
+  kamikaze_count: 20
+  objective: deviation
+scenarios:
+{scenarios}
+sweep:
+  scenario.car.start_speed: [{metres}] # m/s
+"""
 
 
 def add(parser: Parser) -> None:
@@ -128,6 +139,7 @@ def _unknown(scenario: Scenario) -> str | None:
 def _campaign(arguments: argparse.Namespace) -> int:
     """Print a campaign's file, or write it."""
     from skd_adversary.safe_trajectories.sources import count_safe_trajectories
+    from skd_sim.inputs.yaml_file import as_yaml
     from skd_sim.scenario.scenario import changed_scenario
     from skd_sim.scenario.scenario_file import REGULATORY
 
@@ -138,8 +150,13 @@ def _campaign(arguments: argparse.Namespace) -> int:
     for name in arguments.names:
         for speed in arguments.speeds:
             count_safe_trajectories(REGULATORY, changed_scenario(name, {"car.start_speed": speed / _KMH}))
-    names = [_as_named(name, arguments.out) for name in arguments.names]
-    text = "\n".join(_campaign_lines(names, arguments.speeds)) + "\n"
+    names = [as_yaml(_as_named(name, arguments.out)) for name in arguments.names]
+    text = _CAMPAIGN.format(
+        names=", ".join(names),
+        speeds=", ".join(f"{speed:g}" for speed in arguments.speeds),
+        scenarios="\n".join(f"  - scenario: {name}" for name in names),
+        metres=", ".join(repr(speed / _KMH) for speed in arguments.speeds),
+    )
     if arguments.out is None:
         print(text, end="")
         return 0
@@ -161,20 +178,3 @@ def _as_named(name: str, campaign: Path | None) -> str:
         return name
     found = os.path.relpath(Path(name).absolute(), campaign.absolute().parent)
     return f"./{found}" if is_named(found) else found
-
-
-def _campaign_lines(names: Sequence[str], speeds: Sequence[float]) -> list[str]:
-    from skd_sim.inputs.yaml_file import as_yaml
-
-    metres = ", ".join(repr(speed / _KMH) for speed in speeds)
-    return [
-        f"# {', '.join(map(as_yaml, names))} at {', '.join(f'{speed:g}' for speed in speeds)} km/h",
-        "defaults:",
-        "  safe: regulatory",
-        "  kamikaze_count: 20",
-        "  objective: deviation",
-        "scenarios:",
-        *(f"  - scenario: {as_yaml(name)}" for name in names),
-        "sweep:",
-        f"  scenario.car.start_speed: [{metres}] # m/s",
-    ]
