@@ -131,7 +131,7 @@ def histories(count: int) -> None:
             seconds = time.perf_counter() - begin
         found = json.loads(done.stdout or '{"first_bad": null, "tested": []}')
         kinds_found.append(kinds.get(found["first_bad"], "none"))
-        same = sum("bit" in one["why"] for one in found["tested"])
+        same = sum("exactly" in one["why"] for one in found["tested"])
         print(f"| {case} | {kinds_found[-1]} | {len(found['tested'])} | {same} | {seconds:.0f} |", flush=True)
     right, blamed = kinds_found.count("regression"), kinds_found.count("refactoring")
     print(f"\nright {right} of {len(kinds_found)}, refactorings blamed {blamed}")
