@@ -51,11 +51,7 @@ class ForkedSkd:
         request = json.dumps({"arguments": [*arguments], "cwd": str(cwd), "environment": {**environment}}).encode()
         self._out, self._err = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
         self._keeper = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            self._keeper.connect(_server())
-        except OSError:  # it has ended with the process that had started it
-            _server.cache_clear()
-            self._keeper.connect(_server())
+        self._keeper.connect(_server())
         socket.send_fds(self._keeper, [_SIZE.pack(len(request))], [self._out.fileno(), self._err.fileno()])
         self._keeper.sendall(request)
         self._answers = self._keeper.makefile("r")
@@ -81,45 +77,42 @@ class ForkedSkd:
 @functools.cache
 def _server() -> str:
     """Return the address of the server, which is started unless another process of this run of tests has one."""
-    folder = Path(tempfile.gettempdir(), f"skd-forks-{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}")
+    side_by_side = os.environ.get("PYTEST_XDIST_TESTRUNUID")
+    run = os.getppid() if side_by_side else os.getpid()  # not a worker: others need the server when that has ended
+    folder = Path(tempfile.gettempdir(), f"skd-forks-{side_by_side or run}")
     folder.mkdir(mode=0o700, exist_ok=True)
-    address, number = folder / "server", folder / "process"
+    address = folder / "server"
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not number.exists() or not Path("/proc", number.read_text()).exists():
-            address.unlink(missing_ok=True)
-            number.write_text(str(_start(folder, address)))
+        if not address.exists():
+            _start(address, run)
     return str(address)
 
 
-def _start(folder: Path, address: Path) -> int:
-    """Start a server, which ends with this process and takes its folder along, and return its process."""
+def _start(address: Path, run: int) -> None:
+    """Start a server, which ends with the process `run` and takes its folder along."""
     variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", TOKEN)}
     process = subprocess.Popen(
-        [sys.executable, __file__, str(address)], env=variables, cwd=folder, stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
+        [sys.executable, __file__, str(address), str(run)], env=variables, cwd=address.parent,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
     )  # fmt: skip
-
-    def end() -> None:
-        process.stdin.close()  # for whose end the server waits
-        process.wait()
-        shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(end)
+    atexit.register(process.poll)  # keeps it: Python warns of a process that goes on when nothing refers to it
+    assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n", "the server of forked commands could not start"
-    return process.pid
 
 
-def _serve(address: str) -> int:
-    """Serve until the test's process ends; in a process that became a command, return the command's exit code."""
+def _serve(address: str, run: str) -> int:
+    """Serve until the run of tests ends; in a process that became a command, return the command's exit code."""
     path = sys.path[1:]  # without this folder
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
-        listener.bind(address)
-        listener.listen()
         importlib.import_module("shortened").shorten()
         _prepare(path)
+        listener.bind(address)
+        listener.listen()
         os.write(1, b"ready\n")
-        while listener in select.select([listener, 0], [], [])[0]:
+        while Path("/proc", run).exists():
+            if not select.select([listener], [], [], 1.0)[0]:
+                continue
             connection, _ = listener.accept()
             with connection:
                 if os.fork() == 0:
@@ -128,6 +121,7 @@ def _serve(address: str) -> int:
             with contextlib.suppress(ChildProcessError):
                 while os.waitpid(-1, os.WNOHANG)[0]:
                     pass
+    shutil.rmtree(Path(address).parent)
     return 0
 
 
@@ -185,4 +179,4 @@ def _become(request: Mapping[str, Any], descriptors: Sequence[int], path: Sequen
 
 
 if __name__ == "__main__":
-    sys.exit(_serve(sys.argv[1]))
+    sys.exit(_serve(*sys.argv[1:]))

@@ -102,9 +102,8 @@ def running_graph(setting: processes.GraphSetting, watched: Watched | None = Non
         except AssessmentError as error:
             reasons = evaluator.failures.reasons
             counts = f"; aborted were {counts_in_words(reasons)}" if reasons else ""
-            error.args = (
-                f"{error}{counts}; log: {processes.log_of(setting.log_folder, str(error))}",
-            )  # its kind stays
+            log = processes.log_of(setting.log_folder, str(error))
+            error.args = (f"{error}{counts}; log: {log}",)  # its kind stays
             raise
 
 
