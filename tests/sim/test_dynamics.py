@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.dynamics.multi_body import (
@@ -234,20 +234,21 @@ def test_a_car_whose_axles_slip_alike_drives_the_circle_of_its_wheelbase(speed: 
 
 
 @settings(max_examples=30)
+@example(commands=[(-4.0, 0.5)], friction=0.375, speed=6.0)
 @given(
     commands=st.lists(st.tuples(st.floats(-15.0, 3.0), st.floats(-0.6, 0.6)), min_size=1, max_size=8),
     friction=st.floats(0.3, 1.0),
     speed=st.floats(0.0, 25.0),
 )
 def test_tyres_bound_what_a_car_that_steers_does(commands, friction, speed):
-    """Sliding and braking together push by at most a tenth more than braking alone, as in the source's formulas.
+    """Sliding and braking together push by at most 6 % more than braking alone, as by the source's formulas.
 
     A mirrored command drives the mirrored path, and steps half as long the same one.
     """
     commands = [(0.0, 0.1), *commands]
     path = steered(scenario(friction), speed, commands)
     velocity = np.diff(path[:, :2], axis=0) / 0.01
-    assert (np.hypot(*np.diff(velocity, axis=0).T) / 0.01).max() <= 1.1 * friction * TYRE.p_dx1 * 9.81 + 0.05
+    assert (np.hypot(*np.diff(velocity, axis=0).T) / 0.01).max() <= 1.06 * friction * TYRE.p_dx1 * 9.81 + 0.05
     mirrored = steered(scenario(friction), speed, [(acceleration, -angle) for acceleration, angle in commands])
     np.testing.assert_allclose(mirrored[:, :2] * (-1.0, 1.0), path[:, :2], atol=1e-6)
     np.testing.assert_allclose(np.sin(mirrored[:, 2]), np.sin(path[:, 2]), atol=1e-6)

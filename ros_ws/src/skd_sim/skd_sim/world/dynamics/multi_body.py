@@ -138,11 +138,13 @@ def tyre_forces(slip: float, angle: float, load: float, tyre: Tyre, friction: fl
     peak = friction * tyre.p_dy1
     curve = _curve(tyre.p_ky1 / (tyre.p_cy1 * peak), tyre.p_ey1, angle)
     aside = peak * load * math.sin(tyre.p_cy1 * curve)
+    along = tyre_force(slip, load, tyre, friction)
+    # On a slippery road forces peak at slips as much smaller; each lessens the other at these slips, too (similarity).
+    slip, angle = slip / friction, angle / friction
     slope = tyre.r_by1 * math.cos(math.atan(tyre.r_by2 * angle))
     aside *= math.cos(tyre.r_cy1 * _curve(slope, tyre.r_ey1, slip))
     slope = tyre.r_bx1 * math.cos(math.atan(tyre.r_bx2 * slip))
-    along = tyre_force(slip, load, tyre, friction) * math.cos(tyre.r_cx1 * _curve(slope, tyre.r_ex1, angle))
-    return along, aside
+    return along * math.cos(tyre.r_cx1 * _curve(slope, tyre.r_ex1, angle)), aside
 
 
 def peak_slip(tyre: Tyre, friction: float) -> float:
