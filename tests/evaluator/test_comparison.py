@@ -303,4 +303,4 @@ def test_an_upper_bound_of_a_car_that_does_not_get_past_is_no_safety() -> None:
     one = priced("a", values(1, shift=3.0), HORIZON, margin_converged=False)
     other = priced("b", values(1), margin_converged=False)
     assert compare(other, one).verdict == "not called safer, for it is often stuck"
-    assert compare(one, other).verdict == "less room, but the other is often stuck"
+    assert compare(one, other).verdict == "not called less safe, for the other is often stuck"

@@ -70,6 +70,12 @@ def test_the_price_of_a_car_is_what_its_rule_says(car: str, lost: float, needles
     assert found.mean("late") == pytest.approx(found.mean("time_lost") + found.mean("slow"))
 
 
+def test_a_car_that_stops_for_who_is_far_behind_it_has_an_empty_road_too(tmp_path: Path) -> None:
+    car = "class Car:\n    def reset(self, scenario, rng): pass\n    def command(self, car, adversary):\n"
+    (tmp_path / "car.py").write_text(f"{car}        return -6.0 if adversary.y - car.y < -20.0 else 0.0\n")
+    assert max(one.undisturbed for one in price_of(f"{tmp_path}/car.py:Car").runs) < 10.0
+
+
 def test_half_speed_is_slow_by_as_much_as_the_way_takes_at_full_speed() -> None:
     found = price_of("HalfSpeed")
     at_full = np.mean([one.unslowed for one in found.runs])

@@ -147,19 +147,24 @@ class Track:
             return f"leaps to and fro by {np.median(leaps):.2g} m at {len(leaps)} of {len(self.times)} positions"
         return ""
 
-    def gap(self, longest: float) -> str:
-        """Its longest step, if that is longer than a limit (s) or than any sensor's, in words; empty otherwise."""
-        steps = np.diff(self.times)
-        usual, row = float(np.median(steps)), int(np.argmax(steps))
-        if self.drawn:
-            return ""
+    def rate(self, longest: float) -> str:
+        """Its usual step, if longer than a limit (s) or shorter than any sensor's, in words; empty otherwise."""
+        usual = float(np.median(np.diff(self.times)))
         if usual < 1.0 / _RATES[1]:
             return f"{1.0 / usual:.3g} positions a second: are times in s?"
-        if steps[row] <= longest * (1.0 + 1e-6):
+        if usual <= longest * (1.0 + 1e-6):
             return ""
-        if usual > longest:
-            unit = ": are times in s?" if usual > 1.0 / _RATES[0] else ""
-            return f"a position each {usual:.3g} s, longer than --longest-gap {longest:g} s{unit}"
+        unit = ": are times in s?" if usual > 1.0 / _RATES[0] else ""
+        return f"a position each {usual:.3g} s, longer than --longest-gap {longest:g} s{unit}"
+
+    def gap(self, longest: float) -> str:
+        """Its longest step, if that is longer than a limit (s) or than any sensor's, in words; empty otherwise."""
+        if self.drawn:
+            return ""
+        steps = np.diff(self.times)
+        row = int(np.argmax(steps))
+        if (said := self.rate(longest)) or steps[row] <= longest * (1.0 + 1e-6):
+            return said
         begin, end = (self.origin + self.times[row : row + 2]).tolist()
         said = f"a gap of {steps[row]:.2f} s, longer than --longest-gap {longest:g} s, from {begin:.2f} to {end:.2f} s"
         return "; ".join((said, *self.notes))

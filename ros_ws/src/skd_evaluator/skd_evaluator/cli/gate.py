@@ -194,7 +194,8 @@ def limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
     if not (arguments.fail_below or arguments.fail_above):
         return ()
     from skd_evaluator.assessment.compare.gate import Limit
-    from skd_evaluator.assessment.files.assessment_json import check_figure, span_of
+    from skd_evaluator.assessment.files.assessment_json import better_of, check_figure, span_of
+    from skd_evaluator.cli.output import warn
 
     limits = []
     for side in ("below", "above"):
@@ -204,6 +205,9 @@ def limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
                 check_figure(name)
             except UsageError as error:
                 raise UsageError(f"{condition}: {error}") from error
+            if (better := better_of(name)) == ("less" if side == "below" else "more"):
+                other = "above" if side == "below" else "below"
+                warn(arguments.command, [f"{condition}: {better} is better: is --fail-{other} meant?"])
             low, high = span_of(name)
             if not low <= value <= high:
                 span = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"

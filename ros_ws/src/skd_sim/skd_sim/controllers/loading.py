@@ -211,6 +211,16 @@ def user_controller(controller: protocol.Controller, name: str) -> UserControlle
     return UserController(controller, name)
 
 
+def _class_named(name: str) -> str:
+    """Return `; did you mean …?` for a class whose module is missing or stands before a dot; empty for other names."""
+    module, dot, class_ = name.rpartition(".")
+    if dot and re.fullmatch(r"[\w.]+", name):
+        return f"; did you mean {module}:{class_}?"
+    defined = re.compile(rf"^class {re.escape(name)}\b", re.MULTILINE)
+    files = (one for one in sorted(Path().glob("*.py")) if defined.search(one.read_text(errors="replace")))
+    return next((f"; did you mean {file}:{name}?" for file in files), "")
+
+
 def make_controller(name: str, multiplier: float = 1.0) -> protocol.Controller:
     """Make a controller by name.
 
@@ -231,8 +241,9 @@ def make_controller(name: str, multiplier: float = 1.0) -> protocol.Controller:
             classes = re.findall(r"^class (\w+)", file.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
             has = ", ".join(classes) or "none"
             raise UsageError(f"controller {file.name}: name a class, as {file.name}:Class; it has {has}")
-        own = "; yours is file.py:Class or package.module:Class"
-        raise UsageError(f"unknown controller {name!r}{near_or_all(name, (*CONTROLLERS, EXTERNAL), 'known are')}{own}")
+        words = "yours is file.py:Class or package.module:Class; known are"
+        near = _class_named(name) or near_or_all(name, (*CONTROLLERS, EXTERNAL), words)
+        raise UsageError(f"unknown controller {name!r}{near}")
     what = f"controller {car.short_controller}"
     target = CONTROLLERS.target(name) if name in CONTROLLERS else car.controller
     if car.is_own:

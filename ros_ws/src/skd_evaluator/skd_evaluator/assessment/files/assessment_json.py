@@ -19,7 +19,7 @@ from skd_sim.inputs.files import did_you_mean, read_json
 from skd_evaluator.assessment import figure_table as table
 from skd_evaluator.assessment.episode_figures import StaticTest
 from skd_evaluator.assessment.failures import Failures
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Of, keys_of
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Figure, Of, keys_of
 from skd_evaluator.metrics.aborted import value_of
 from skd_evaluator.metrics.clustered import Clustered
 from skd_evaluator.metrics.entry import Schema, object_of, or_null, ref
@@ -247,8 +247,18 @@ def span_of(name: str) -> tuple[float, float]:
     """
     words = name.split(".")
     low, high = next(span for one, span in scalar_figures().items() if _fits(words, one.split(".")))
-    row = (OF_OBJECTIVES if words[0] == "objectives" else AT_THE_TOP).get(words[-1])
+    row = _row_of(words)
     return (max(low, 0.0) if row is not None and row.kind.unit == "m" else low), high  # no length is below 0
+
+
+def better_of(name: str) -> str:
+    """Return whether more or less of a figure is better, in a word; empty where neither is."""
+    row = _row_of(name.split("."))
+    return "" if row is None else row.better.value
+
+
+def _row_of(words: list[str]) -> Figure | None:
+    return (OF_OBJECTIVES if words[0] == "objectives" else AT_THE_TOP).get(words[-1])
 
 
 def _scalars(
@@ -280,7 +290,9 @@ def check_figure(name: str) -> None:
     known = scalar_figures()
     if any(_fits(words, one.split(".")) for one in known):
         return
-    near = did_you_mean(name, [_filled(one, words) for one in known])
+    longer = [one for one in known if one.startswith(f"{name}_") and "." not in one]
+    near = f"; did you mean {' or '.join(longer)}?" if longer else ""
+    near = near or did_you_mean(name, [_filled(one, words) for one in known])
     raise UsageError(f"assessment.json has no figure {name!r} that is one number{near}")
 
 

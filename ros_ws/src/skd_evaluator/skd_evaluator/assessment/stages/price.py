@@ -39,7 +39,7 @@ _PASSED = 1.0  # m that the rear is beyond the crossing line when the car has pa
 _BEHIND_KERB = (0.5, 1.0)  # m
 _SPREAD = 2.0  # s after `CLEAR` over which crossings are spread
 _SOON = 3.0  # times as long as a car at its start speed takes to the crossing line, within which most have passed
-_NOWHERE = (-1000.0, -1000.0)  # m to the right, and along: far behind the car
+_BEHIND, _AHEAD = (-1000.0, -1000.0), (-1000.0, 1000.0)  # m to the right, and along: far from the car
 _PACE = (0.4, 0.8)  # share of the adversary's speed
 _HEAVIEST = 150.0  # kg: who is heavier drives a vehicle, and does not wait at a kerb
 
@@ -103,10 +103,11 @@ def price_of_caution(plan: Plan, safe: Sequence[Trajectory], runner: Runner, cou
     Raises:
         AssessmentError: the car fails.
     """
-    scenario, line = _scenario(plan.scenario), plan.scenario.road.line
-    away = np.tile(_NOWHERE, (scenario.ticks + 1, 1))
-    empty = Trajectory(beside_road(line, away), scenario.time_step, "empty road")
-    undisturbed = _drive(runner, [_episode(plan, scenario, number, empty) for number in range(count)])
+    scenario = _scenario(plan.scenario)
+    undisturbed = _undisturbed(plan, scenario, runner, count, _BEHIND)
+    if any(log.outcome == Outcome.ARRIVED and passes(log) >= HORIZON for log in undisturbed):
+        ahead = _undisturbed(plan, scenario, runner, count, _AHEAD)  # it stops for who is behind it
+        undisturbed = min(undisturbed, ahead, key=lambda logs: sum(map(passes, logs)))
     crossing = [one for one in safe if _crosses(scenario, one)]
     kinds = KINDS if crossing else KINDS[:3]
     ways = [
@@ -121,6 +122,15 @@ def price_of_caution(plan: Plan, safe: Sequence[Trajectory], runner: Runner, cou
     ]
     runs = tuple(_run(log, other) for log, other in pairs)
     return PriceOfCaution(runs, count - len(runs)) if runs else None
+
+
+def _undisturbed(
+    plan: Plan, scenario: Scenario, runner: Runner, count: int, place: tuple[float, float]
+) -> list[EpisodeLog]:
+    """Return the logs of drives with nobody but a road user at a place far from the car."""
+    away = np.tile(place, (scenario.ticks + 1, 1))
+    empty = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "empty road")
+    return _drive(runner, [_episode(plan, scenario, number, empty) for number in range(count)])
 
 
 def _drive(runner: Runner, episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:

@@ -144,7 +144,8 @@ def read_campaign(path: Path, further: Sequence[Mapping[str, Any]] = ()) -> list
     reader = _Reader(path)
     file = read_model(_CampaignFile, read_yaml(path), str(path))
     defaults = reader.values(file.defaults, "defaults")
-    cars = reader.entries((*file.cars, *further), "cars")
+    cars = reader.entries(file.cars, "cars")
+    cars += [replace(one, where="") for one in reader.entries(further, "cars")]  # no place in the file
     scenarios = [_Part({})] if file.scenarios is None else reader.entries(file.scenarios, "scenarios")
     sweeps = reader.sweeps(file.sweep, "sweep")
     reader.refuse_repeated({"cars": cars, "scenarios": scenarios, "sweep": sweeps})

@@ -131,7 +131,7 @@ def _print(rows: Sequence[Mapping[str, Any]], read: str, car: str) -> None:
 
     again = sum(not row["why"] for row in rows)
     title = f"{counted(len(rows), 'conflict')} with {read}, of which {again} can be driven again; {car}"
-    heads = ("drive", "road user", "at (s)", "m/s", "margin (m)", "impact (m/s)", "recorded (m)", "bounds (m)")
+    heads = ("drive", "road user", "at (s)", "car (m/s)", "margin (m)", "impact (m/s)", "recorded (m)", "bounds (m)")
     cells = []
     for row in rows[:_SHOWN]:
         speed, impact = ("" if (one := row[key]) is None else f"{one:.1f}" for key in ("speed", "impact_speed"))

@@ -88,7 +88,10 @@ def read_drives(
             except UsageError as error:
                 yield name, str(error)
                 continue
-            yield _drive(name, car, others)
+            drive = _drive(name, car, others, request.longest_gap)
+            if isinstance(drive, RecordedDrive) and not _drives(car):
+                damage.warn(f"{name}: the car never drives faster than 1 m/s: are positions in m?")
+            yield drive
 
 
 _Read = Callable[[], tuple[Track, list[Track | Listed]]]
@@ -127,17 +130,24 @@ def _clip(clip: Clip) -> tuple[Track, list[Track | Listed]]:
     return track(clip.cart, TABLE_CAR), [track(one, str(one.id)) for one in clip.tracks]
 
 
-def _drive(name: str, car: Track, others: Sequence[Track | Listed]) -> RecordedDrive | tuple[str, str]:
-    if why := car.jump:
+def _drive(name: str, car: Track, others: Sequence[Track | Listed], gap: float) -> RecordedDrive | tuple[str, str]:
+    if why := car.jump or car.rate(gap):
         return name, f"{car.name}: {why}"
     users, left_out = [], []
     for one in others:
-        why = one.why if isinstance(one, Listed) else one.jump or _is_car(car, one)
+        why = one.why if isinstance(one, Listed) else one.jump or one.rate(gap) or _is_car(car, one)
         if isinstance(one, Track) and not why:
             users.append(one)
         else:
             left_out.append((one.name, why))
     return RecordedDrive(name, car, tuple(users), tuple(left_out))
+
+
+def _drives(car: Track) -> bool:
+    """Return whether a car goes 1 m or more in any second: one whose positions are in km does not."""
+    seconds = np.arange(car.times[0], car.times[-1] + 2.0)
+    places = [np.interp(seconds, car.times, column) for column in car.places.T]
+    return bool(np.hypot(*np.diff(places)).max() >= 1.0)
 
 
 def _is_car(car: Track, other: Track) -> str:

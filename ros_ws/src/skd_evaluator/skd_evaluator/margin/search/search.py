@@ -280,7 +280,8 @@ class _Search:
         self._groups = self._rounds(self._groups, what)
         reasons = [reason for group in self._groups for reason in group.reasons]
         if len(reasons) == sum(trial.driven for trial in self._trials):
-            raise AssessmentError(f"every candidate was aborted ({reasons[0]})")
+            why = f"every candidate was aborted ({reasons[0]})" if reasons else "the episodes end before anybody moves"
+            raise AssessmentError(f"no margin: {why}")
         self._share()
 
     def _share(self) -> None:
