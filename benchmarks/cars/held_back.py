@@ -8,7 +8,7 @@ from cars.memory import Law
 
 
 class HeadwayStopAndGo(Law):
-    """Keeps a time headway to whoever is in its corridor, and drives on a second after the corridor is free."""
+    """Keeps a time headway to a road user in its corridor, and drives on a second after the corridor is free."""
 
     control_period = 0.1
 
@@ -23,7 +23,7 @@ class HeadwayStopAndGo(Law):
 
 
 class SpeedProfile(Law):
-    """Follows, with a PID controller, the speed from which it stops softly before whoever is near."""
+    """Follows, with a PID controller, the speed from which it stops softly before a road user nearby."""
 
     control_period = 0.05
 
@@ -39,7 +39,7 @@ class SpeedProfile(Law):
 
 
 class DrawnReaction(Law):
-    """Brakes after a reaction time that it draws anew for whoever comes into view."""
+    """Brakes after a reaction time that it draws anew for each road user that comes into view."""
 
     control_period = 0.1
 
@@ -56,7 +56,7 @@ class DrawnReaction(Law):
 
 
 class LosesTracks(Law):
-    """Brakes for the track of whoever it saw twice; tracks go on straight where detections fail, in bursts."""
+    """Brakes for a road user that it has detected twice; tracks go on straight where detections fail, in bursts."""
 
     control_period = 0.1
 

@@ -313,6 +313,11 @@ def test_a_search_all_of_whose_episodes_are_aborted_is_an_error():
         search_margins(episodes(1.0, 2), {}, abort, LITTLE)
 
 
+def test_a_search_that_can_drive_nothing_is_an_error():
+    with pytest.raises(AssessmentError, match="no trajectory could be driven"):
+        search_margins(episodes(1.0, 2), {}, lambda groups, _what: list(groups), LITTLE)
+
+
 def test_a_limit_below_the_usual_effort_is_kept():
     with InProcessRunner(1) as runner:
         _, search = minimal_deviations([short(0, 9, 0.1), short(1, 9, 0.1)], {}, runner, lambda *_: None, 8)

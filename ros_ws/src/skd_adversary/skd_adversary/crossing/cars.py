@@ -49,8 +49,6 @@ from skd_adversary.crossing.interfaces import (
 )
 from skd_adversary.crossing.sensors import DISTANCE, POSE, RELATIVE_POSITION
 
-# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
-
 
 @kernel
 def _basic_start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
@@ -348,7 +346,7 @@ def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car:
 
 
 class _Forest:
-    """A car that does as its recordings."""
+    """A car that does what it did in similar recorded ticks."""
 
     @kernel
     def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:

@@ -87,7 +87,7 @@ hit is a matter of one good action at the right time, which a mean over all acti
 
 
 def kernels_in(owner: type) -> dict[str, Any]:
-    """Return the functions that a class without objects holds together, by interface."""
+    """Return the functions of a class that only groups them, by the names of their interfaces."""
     return {name: getattr(owner, name) for name in vars(owner) if not name.startswith("__")}
 
 

@@ -33,8 +33,6 @@ _DIAGONAL = math.sqrt(0.5)
 DIRECTION_EAST = (0.0, 0.0, 1.0, _DIAGONAL, _DIAGONAL, 0.0)
 DIRECTION_NORTH = (1.0, -1.0, 0.0, _DIAGONAL, -_DIAGONAL, 0.0)
 
-# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
-
 
 # --- the pedestrian
 
@@ -53,7 +51,7 @@ def compass_velocity(parameters: Any, action: int) -> Pair:
 
 
 class _Pedestrian:
-    """Whoever goes at one speed, or stays."""
+    """A pedestrian: walks at one speed, or stands."""
 
     @kernel(inline=True)
     def start_road_user(parameters: Any, state: FloatArray) -> None:
@@ -125,7 +123,7 @@ def nearest_walked(most: float, vx: float, vy: float, target_x: float, target_y:
 
 
 class _Walker:
-    """Whoever needs time to start, turn and stop."""
+    """A pedestrian whose velocity changes at a limited rate."""
 
     @template
     def start_road_user(parameters: Any, state: FloatArray) -> None:
@@ -299,7 +297,7 @@ def steered(limits: RidingLimits, crossing: float, heading: float, direction: in
 
 
 class _Wheeled:
-    """Whoever moves where its box points."""
+    """A road user on wheels: moves in the direction of its heading."""
 
     @template
     def start_road_user(parameters: Any, state: FloatArray) -> None:

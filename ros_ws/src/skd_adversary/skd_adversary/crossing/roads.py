@@ -19,8 +19,6 @@ from skd_adversary.crossing.interfaces import Pair, RoadKernels, kernels_in, tem
 
 _GRAZE: Final = 1e-9  # m
 
-# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
-
 
 @kernel(inline=True)
 def _from_aside(ahead: float, left: float, aside: Pair) -> Pair:
@@ -31,7 +29,7 @@ def _from_aside(ahead: float, left: float, aside: Pair) -> Pair:
 
 
 class _Straight:
-    """The road leads North."""
+    """A straight road to the North."""
 
     @kernel(inline=True)
     def on_road(parameters: Any, x: float, y: float) -> Pair:
@@ -100,7 +98,7 @@ def _curved_from_car(parameters: Any, x: float, y: float, car_s: float) -> Pair:
 
 
 class _Curved:
-    """The road leads along a line."""
+    """A road along a line with curves."""
 
     @kernel(inline=True)
     def on_road(parameters: Any, x: float, y: float) -> Pair:

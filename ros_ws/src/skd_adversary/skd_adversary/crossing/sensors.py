@@ -35,8 +35,6 @@ from skd_adversary.crossing.interfaces import (
     template,
 )
 
-# ruff: noqa: N805 - kernels stand in classes without objects, and take no self
-
 
 @template
 def _distance(parameters: Any, state: FloatArray) -> float:
@@ -45,7 +43,7 @@ def _distance(parameters: Any, state: FloatArray) -> float:
 
 
 class _Distance:
-    """The distance."""
+    """A sensor of the distance to the car."""
 
     @staticmethod
     def sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
@@ -82,7 +80,7 @@ DISTANCE = SensorModel("distance", **kernels_in(_Distance))
 
 
 class _Position:
-    """The relative position along the road."""
+    """A sensor of the car's relative position along the road."""
 
     @staticmethod
     def sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
@@ -138,7 +136,7 @@ def _pose_expected(parameters: Any, state: FloatArray) -> Triple:
 
 
 class _Pose:
-    """Place along and across the road, and heading."""
+    """A sensor of the car's place along and across the road, and of its heading."""
 
     @staticmethod
     def sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:

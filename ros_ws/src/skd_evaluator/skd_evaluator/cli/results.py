@@ -115,10 +115,8 @@ def say_damage(command: str, damage: Damage) -> None:
     say_left_out(command, damage)
     warn(command, damage.warnings)
     if damage.unchecked:
-        files, first = (
-            counted(len(damage.unchecked), "file"),
-            f"{damage.unchecked[0]}{', …' * (len(damage.unchecked) > 1)}",
-        )
+        files = counted(len(damage.unchecked), "file")
+        first = f"{damage.unchecked[0]}, …" if len(damage.unchecked) > 1 else f"{damage.unchecked[0]}"
         why = "damage that leaves a possible episode cannot be noticed there"
         warn(command, [f"{files} without checksums ({first}): {why}"])
 

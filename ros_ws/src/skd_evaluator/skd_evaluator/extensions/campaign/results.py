@@ -104,10 +104,8 @@ def _prepare_graphs(cells: Sequence[Cell]) -> None:
 
 def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
     if in_process := campaign.in_process:
-        isolated, margins = (
-            any(cell.plan.runs_others_code for cell in in_process),
-            any(cell.requested["margin_limit"] for cell in in_process),
-        )
+        isolated = any(cell.plan.runs_others_code for cell in in_process)
+        margins = any(cell.requested["margin_limit"] for cell in in_process)
         limit = max(cell.answer_limit for cell in in_process)
         with runner_of(arguments, isolated=isolated, answer_limit=limit) as runner:
             with margins_compiled_in_background(needed=margins) as load_margins:

@@ -280,8 +280,8 @@ class _Search:
         self._groups = self._rounds(self._groups, what)
         reasons = [reason for group in self._groups for reason in group.reasons]
         if len(reasons) == sum(trial.driven for trial in self._trials):
-            why = f"every candidate was aborted ({reasons[0]})" if reasons else "the episodes end before anybody moves"
-            raise AssessmentError(f"no margin: {why}")
+            nothing = "no trajectory could be driven: see `ending` and `eta_max` of the scenario"
+            raise AssessmentError(f"every candidate was aborted ({reasons[0]})" if reasons else nothing)
         self._share()
 
     def _share(self) -> None:
