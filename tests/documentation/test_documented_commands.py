@@ -145,7 +145,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"ros2": "needs a sourced ROS 2: tests/packaging/test_files.py has it where there is one",
     r".* --graph": "four processes: tests/graph/test_vendor_controller.py runs those that need no stack of others",
     r"scripts/(run-node|assess-controller|replay-logs)": "the same",
-    r"scripts/skd (replay skd_results/(vendor|monitor)|fit skd_results/probe)": "of a graph's recordings: the same",
+    r"scripts/skd (replay skd_results/(node|monitor)|fit skd_results/probe)": "of a graph's recordings: the same",
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
     r"scripts/skd import drive": "needs a drive: tests/exchange/test_import.py writes such a bag",
     r"scripts/test tests/exchange": "these tests themselves",

@@ -1,4 +1,4 @@
-"""The commands of docs/ros2_stack.md and docs/logs.md, as they stand there, with the example controller."""
+"""The commands of docs/ros2_stack.md and docs/logs.md, as they stand there, with the page's node and the example."""
 
 import json
 import math
@@ -29,9 +29,11 @@ def marked(mark: str) -> list[list[str]]:
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A folder that looks like the top of the checkout, where results can be left."""
+    """A folder that looks like the top of the checkout, with the node of the page, where results can be left."""
     for name in ("scripts", "examples"):
         (tmp_path / name).symlink_to(ROOT / name)
+    (node,) = re.findall(r"<!-- file: my_node.py -->\n+```python\n(.*?)```", PAGES[0].read_text("utf-8"), re.DOTALL)
+    (tmp_path / "my_node.py").write_text(node, encoding="utf-8")
     return tmp_path
 
 
@@ -68,18 +70,19 @@ def test_marked_commands(checkout, monkeypatch, capsys):
     results = {
         path.parent.name: json.loads(path.read_text()) for path in checkout.glob("skd_results/*/assessment.json")
     }
-    assert set(results) == {"vendor", "real_time", "replayed"}
+    assert set(results) == {"node", "real_time", "replayed"}
     for name, result in results.items():
         assert result["controller"] == "external"
         assert math.isfinite(result["skd"]), name
         assert result["aborted"] == 0, name
-    assert results["vendor"]["pairs"] == 10
+    hits = [one["trials"] - one["failed"] for one in results["node"]["per_safe_trajectory"]]
+    assert hits == [5, 5]
     assert results["real_time"]["margin"] is not None
     assert not results["real_time"]["margin_converged"]
     left = {
         key: results["replayed"][key] for key in ("skd", "skd_ci95_pairs", "skd_prefix", "variance", "contact_rate")
     }
-    assert left == {key: results["vendor"][key] for key in left}
+    assert left == {key: results["node"][key] for key in left}
 
 
 def test_an_episode_in_four_terminals(checkout):
