@@ -25,8 +25,9 @@ from typing import Any
 import numpy as np
 from cars.catalogue import CARS, Car
 from cars.memory import MEMORY_CARS
-from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.plan import Plan, runs_along
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.kamikazes import with_steering
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import one_by_one
@@ -63,7 +64,8 @@ def episodes_of(car: Car, seed: int, safe: str, safe_count: int, trials: int) ->
         seed=seed,
     )
     with InProcessRunner() as runner:
-        return plan.trials(safe_trajectories(plan, runner), each)
+        phi = safe_trajectories(plan, runner)
+        return with_steering(plan, runner.run(runs_along(plan, phi))).trials(phi, each)
 
 
 def row(episodes: Sequence[EpisodeSpec], safe_count: int, deep_trials: int, times: int) -> Row:
@@ -125,8 +127,8 @@ def summary(rows: Sequence[Row]) -> list[str]:
     if pairs:
         wrong = sum(p < SIGNIFICANT for p in pairs)
         lines.append(f"pairs of seeds of one car that differ significantly: {wrong} of {len(pairs)}")
-    seconds = np.array([one["seconds"] for one in rows])
-    lines.append(f"processor time: median {np.median(seconds):.0f} s, nine tenths {np.quantile(seconds, 0.9):.0f} s")
+    median, most = np.quantile([one["seconds"] for one in rows], (0.5, 0.9))
+    lines.append(f"processor time: median {median:.0f} s, nine tenths {most:.0f} s")
     return lines
 
 
@@ -134,9 +136,7 @@ def main() -> None:
     """Print the table, row by row, as Markdown."""
     cars = {car.label: car for car in (*MEMORY_CARS, *CARS) if not car.is_basic}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--cars", nargs="+", default=list(cars), metavar="NAME", help="as in the catalogue, or for --controller"
-    )
+    parser.add_argument("--cars", nargs="+", default=list(cars), metavar="NAME", help="of the catalogue, or controller")
     parser.add_argument(
         "--settings", nargs="+", metavar="NAME", help="of these, or a scenario; default: that of the car"
     )
