@@ -31,8 +31,7 @@ def test_a_digest_tells_every_bit():
 
 
 @pytest.mark.parametrize(
-    ("better", "expected"),
-    [(1, [[3, 2, 3], [2, 1, 3], [1, 1, 2]]), (-1, [[1, 1, 2], [2, 1, 3], [3, 2, 3]])],
+    ("better", "expected"), [(1, [[3, 2, 3], [2, 1, 3], [1, 1, 2]]), (-1, [[1, 1, 2], [2, 1, 3], [3, 2, 3]])]
 )
 def test_a_rank_reaches_as_far_as_no_pair_is_told_apart(better, expected):
     """Of three cars only the first and the last are told apart: the last has more."""

@@ -110,12 +110,7 @@ def run(make: Callable[[], Node], args: Sequence[str]) -> int:
 
 
 def main(args: Sequence[str]) -> int:
-    nodes = {
-        "speed": SpeedController,
-        "scan": ScanBraker,
-        "clock": ClockFollower,
-        "vendor": VendorController,
-    }
+    nodes = {"speed": SpeedController, "scan": ScanBraker, "clock": ClockFollower, "vendor": VendorController}
     return run(nodes[args[0]], args)
 
 

@@ -141,8 +141,7 @@ def _first_on_path(folder: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("name", "number"),
-    [("vehicle_simulator", signal.SIGINT), ("evaluator", signal.SIGTERM), ("skd", signal.SIGINT)],
+    ("name", "number"), [("vehicle_simulator", signal.SIGINT), ("evaluator", signal.SIGTERM), ("skd", signal.SIGINT)]
 )
 def test_a_signal_during_the_imports(tmp_path: Path, name: str, number: int) -> None:
     (tmp_path / "numba.py").write_text(SLOW_IMPORT.format(then="raise"))

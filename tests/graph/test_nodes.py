@@ -156,10 +156,7 @@ LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0,
 
 @pytest.mark.parametrize(
     ("module", "topic", "pacing"),
-    [
-        (CONTROLLER, "ego/acceleration_command", "lockstep"),
-        (ADVERSARY, "adversary/velocity_command", "real_time"),
-    ],
+    [(CONTROLLER, "ego/acceleration_command", "lockstep"), (ADVERSARY, "adversary/velocity_command", "real_time")],
 )
 def test_two_senders(context, domain, tmp_path, replay, module, topic, pacing):
     """Which of them would be heard depends on timing; the second one is refused though it says the same.

@@ -87,12 +87,7 @@ def test_marked_commands(checkout, monkeypatch, capsys):
 
 def test_an_episode_in_four_terminals(checkout):
     (lines,) = marked("terminals")
-    assert [shlex.split(line)[1] for line in lines] == [
-        "vehicle_simulator",
-        "adversary",
-        "car_controller",
-        "evaluator",
-    ]
+    assert [shlex.split(line)[1] for line in lines] == ["vehicle_simulator", "adversary", "car_controller", "evaluator"]
     domain = str(new_domain())
     programs = [start(line, checkout, ROS_DOMAIN_ID=domain) for line in lines]
     try:

@@ -109,11 +109,7 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
     "perhaps remapped": ((HEARS, COMMANDS_IT, listens(PoseStamped, "/goal")), "/stack listens to /goal", {}),
     "follows the clock": ((HEARS, COMMANDS_IT, listens(Clock, "/clock")), "-p quiet_time:=0.1", {}),
     "silent": ((HEARS, COMMANDS_IT), "has not published yet: see its log, or -p startup_timeout:=120", {}),
-    "silent, and only listens": (
-        (HEARS,),
-        "/ego/acceleration_command; nodes that are not SKD's: /stack",
-        {},
-    ),
+    "silent, and only listens": ((HEARS,), "/ego/acceleration_command; nodes that are not SKD's: /stack", {}),
 }
 
 

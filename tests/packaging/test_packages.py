@@ -6,15 +6,7 @@ import sys
 import tomllib
 
 import pytest
-from packaging_support import (
-    ALL_NODES,
-    PYTHON_PACKAGES,
-    ROOT,
-    SOURCE,
-    defaults_on_file,
-    settings,
-    setup_arguments,
-)
+from packaging_support import ALL_NODES, PYTHON_PACKAGES, ROOT, SOURCE, defaults_on_file, settings, setup_arguments
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions
 from skd_sim.options.options import SimulatorOptions, options_of
 from skd_sim.ros.support import descriptor_of

@@ -7,15 +7,7 @@ from importlib import resources
 import numpy as np
 import pytest
 from scipy.stats import binom
-from skd_sim.controllers.cal import (
-    FEATURES,
-    GAP,
-    CalController,
-    CalState,
-    HazardNetwork,
-    segment,
-    shipped_network,
-)
+from skd_sim.controllers.cal import FEATURES, GAP, CalController, CalState, HazardNetwork, segment, shipped_network
 from skd_sim.controllers.protocol import SensingController
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest

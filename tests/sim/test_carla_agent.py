@@ -19,13 +19,7 @@ from skd_sim.controllers.carla_agent import (
 )
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.carla import (
-    Placement,
-    adversary_from_odometry,
-    pedals,
-    steer,
-    walker_control,
-)
+from skd_sim.simulators.carla import Placement, adversary_from_odometry, pedals, steer, walker_control
 from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled
 
 CROSSING = load_scenario("crossing")

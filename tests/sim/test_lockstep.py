@@ -135,12 +135,7 @@ def test_messages_in_any_order_give_the_same_episode(order, ticks, repeats):
     assert all(send(bench.lockstep, late) is None for late in under_way)
 
 
-@given(
-    order=st.data(),
-    tick=st.integers(0, 4),
-    who=st.sampled_from(["car", "adversary"]),
-    same=st.booleans(),
-)
+@given(order=st.data(), tick=st.integers(0, 4), who=st.sampled_from(["car", "adversary"]), same=st.booleans())
 def test_two_answers_to_a_tick_abort_in_any_order(order: st.DataObject, tick: int, who: str, same: bool) -> None:
     """Another answer, or from tick 1 on the same once more, ends the episode, whenever it comes."""
     if tick == 0 and same:

@@ -14,13 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import schema_of
-from skd_sim.scenario.scenario import (
-    Scenario,
-    changed_scenario,
-    load_scenario,
-    scenario_from_dict,
-    with_oncoming_lane,
-)
+from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario, scenario_from_dict, with_oncoming_lane
 from skd_sim.scenario.scenario_file import is_named, shipped_scenarios
 
 BASE = load_scenario("crossing").as_dict()

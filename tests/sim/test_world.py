@@ -136,10 +136,7 @@ def test_noise_is_drawn_once_a_tick_and_spread_evenly(periods: int) -> None:
         assert (world.car.y, world.car.speed) == pytest.approx((y, speed), abs=1e-9)
 
 
-@given(
-    periods=st.integers(1, 12),
-    velocity=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
-)
+@given(periods=st.integers(1, 12), velocity=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)))
 def test_adversaries_move_uniformly_between_ticks(periods: int, velocity: tuple[float, float]) -> None:
     world = world_of(clocked(CROSSING, periods))
     start = world.adversary
