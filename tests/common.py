@@ -1,6 +1,7 @@
 """What tests of several folders share: patience, DDS domains of their own, and `skd` in the tests' own process."""
 
 import io
+import os
 import random
 import signal
 import socket
@@ -9,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -56,6 +58,14 @@ def wait_until(condition: Callable[[], Any], what: str = "what has to be", timeo
     raise AssertionError(f"waited {timeout:g} s in vain for {what}")
 
 
+def is_alive(process: object) -> bool:
+    """Whether a process is there, and not but waiting to be asked how it ended."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in ("Z", "X")
+    except OSError:
+        return False
+
+
 def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
     """Return the first line of a program's standard output that holds a text.
 
@@ -67,6 +77,13 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
         return next((line for line in iter(process.stdout.readline, "") if wanted in line), "")
     finally:
         killer.cancel()
+
+
+def run_program(*words: object, cwd: Path | None = None, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, with further variables, and return how it ended and what it said."""
+    return subprocess.run(
+        [*map(str, words)], cwd=cwd, env=os.environ | variables, capture_output=True, text=True, timeout=PATIENCE
+    )
 
 
 def assert_valid(assessment: Any) -> None:

@@ -97,7 +97,6 @@ def _start(address: Path, run: int) -> None:
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
     )  # fmt: skip
     atexit.register(process.poll)  # keeps it: Python warns of a process that goes on when nothing refers to it
-    assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n", "the server of forked commands could not start"
 
 

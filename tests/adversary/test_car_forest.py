@@ -226,7 +226,6 @@ class ChangesLanes:
 def test_of_a_car_that_evades_the_forest_says_where_it_goes_and_points() -> None:
     data = logs_of(user_controller(ChangesLanes(), "changes lanes"), 96)
     learned = learn_car(data)
-    assert learned.forest is not None
     assert learned.forest.evades
     trees, (features, found) = learned.forest.trees, described(data)
     assert features.shape[1] == len(FEATURES)

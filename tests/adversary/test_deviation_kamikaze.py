@@ -145,14 +145,12 @@ def test_no_displacement_is_offered_twice() -> None:
     model = a_model()
     state = np.empty(model.state_dim)
     model.initial(model.parameters, state, np.random.default_rng(3))
-    assert model.legal is not None
     for tick, same in ((0, EAST), (1, None), (len(BENT), STAY)):
         state[STATE_DIM + 1] = tick
         offered = {action for action in range(ACTION_COUNT + 1) if model.legal(model.parameters, state, action)}
         assert offered == set(range(ACTION_COUNT + 1)) - {same}
     strict = a_model(0.1)
     state[STATE_DIM] = 0.02  # m², beyond 0.1 m
-    assert strict.legal is not None
     assert [a for a in range(ACTION_COUNT + 1) if strict.legal(strict.parameters, state, a)] == [AS_PHI]
 
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import yaml
-from common import PATIENCE
+from common import PATIENCE, run_program
 from forked_skd import ForkedSkd
 from skd_sim.scenario.scenario import load_scenario
 
@@ -68,14 +68,8 @@ def started(*arguments: str | Path, cwd: Path, **environment: str) -> ForkedSkd:
 
 def skd_from_nothing(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run `skd` in a Python of its own, as a user does: for tests of what a start does."""
-    return subprocess.run(
-        [sys.executable, "-m", "skd_evaluator", *map(str, arguments)],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(cwd), **environment},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
+    words = (sys.executable, "-m", "skd_evaluator", *arguments)
+    return run_program(*words, cwd=cwd, **{"PYTHONPATH": str(cwd), **environment})
 
 
 def names(folder: Path) -> list[str]:

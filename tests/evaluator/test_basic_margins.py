@@ -44,10 +44,6 @@ class Refuses(InProcessRunner):
         raise AssertionError("there was work to do")
 
 
-def basic(multiplier: float, cache: Path, runner: InProcessRunner, plan: Plan = PLAN) -> list[np.ndarray]:
-    return BasicMargins(plan, SAFE, 4, runner, silent, cache).at(round(100 * multiplier))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("margins")
@@ -55,8 +51,9 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("multiplier", [0.6, 1.08])
 def test_a_basic_car_reads_itself_back(multiplier, folder):
-    cache, runner = folder, InProcessRunner(1)
-    found, note = equivalent_of(PLAN, SAFE, basic(multiplier, cache, runner), runner, silent, cache)
+    runner = InProcessRunner(1)
+    car = BasicMargins(PLAN, SAFE, 4, runner, silent, folder).at(round(100 * multiplier))
+    found, note = equivalent_of(PLAN, SAFE, car, runner, silent, folder)
     assert found.value == pytest.approx(multiplier, abs=0.05)  # in 12 trials some C have the same margins
     assert found.ci95[0] <= multiplier <= found.ci95[1]
     assert "basic cars" in note
@@ -64,18 +61,16 @@ def test_a_basic_car_reads_itself_back(multiplier, folder):
 
 def test_nothing_depends_on_workers_or_on_what_was_kept(folder, tmp_path):
     car = [np.array([0.3, 0.5, 0.2, math.nan]), np.array([0.4, 0.3, 0.6, 0.5]), np.array([0.1, 0.3])]
-    kept = folder
-    found = equivalent_of(PLAN, SAFE, car, InProcessRunner(1), silent, kept)
-    assert equivalent_of(PLAN, SAFE, car, Refuses(1), silent, kept) == found
+    found = equivalent_of(PLAN, SAFE, car, InProcessRunner(1), silent, folder)
+    assert equivalent_of(PLAN, SAFE, car, Refuses(1), silent, folder) == found
     with InProcessRunner(2) as runner:
         runner.start()
         assert equivalent_of(PLAN, SAFE, car, runner, silent, tmp_path) == found
 
 
 def test_a_car_that_cannot_be_hit_and_one_that_always_is(folder):
-    cache = folder
-    above, _ = equivalent_of(PLAN, SAFE, [np.full(4, math.inf)] * 3, InProcessRunner(1), silent, cache)
-    below, _ = equivalent_of(PLAN, SAFE, [np.zeros(4)] * 3, InProcessRunner(1), silent, cache)
+    above, _ = equivalent_of(PLAN, SAFE, [np.full(4, math.inf)] * 3, InProcessRunner(1), silent, folder)
+    below, _ = equivalent_of(PLAN, SAFE, [np.zeros(4)] * 3, InProcessRunner(1), silent, folder)
     assert (above.text, below.text) == ("above 2", "below 0.25")
     assert above.value == math.inf == -below.value
 

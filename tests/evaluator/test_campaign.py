@@ -56,6 +56,10 @@ def trial(episode: EpisodeSpec) -> int:
     return episode.episode_id & 0xFFFFFFFF
 
 
+def each_by_turns(episode: EpisodeSpec) -> Outcome:
+    return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[trial(episode) % 3]
+
+
 def test_episodes_are_drawn_until_enough_have_collided():
     runner = StubRunner(lambda episode: Outcome.COLLISION if trial(episode) % 3 else Outcome.MISSED)
     (found,) = kamikaze_sets(SMALL, [straight()], runner)
@@ -91,10 +95,7 @@ def test_one_kamikaze_trajectory_has_no_variance_and_no_bound():
 
 
 def test_aborted_episodes_count_in_no_rate():
-    def decide(episode: EpisodeSpec) -> Outcome:
-        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[trial(episode) % 3]
-
-    result = rated(SMALL, [straight()], StubRunner(decide)).as_dict()
+    result = rated(SMALL, [straight()], StubRunner(each_by_turns)).as_dict()
     assert result["kamikaze_aborted"] == 4
     assert result["kamikaze_trials"] + result["kamikaze_aborted"] == 10
     assert result["kamikaze_success_rate"] == 0.5
@@ -105,11 +106,7 @@ def test_aborted_episodes_count_in_no_rate():
 
 def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
     """They stand in episodes.npz, and report, comparison and gate compute from it."""
-
-    def decide(episode: EpisodeSpec) -> Outcome:
-        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[trial(episode) % 3]
-
-    found = rated(SMALL, [straight(), straight(1.0)], StubRunner(decide))
+    found = rated(SMALL, [straight(), straight(1.0)], StubRunner(each_by_turns))
     write_assessment(tmp_path, found)
     (subject,) = read_subjects([tmp_path])
     (kamikazes,) = found.results
@@ -163,14 +160,6 @@ def test_walkers_are_as_many_different_safe_crossings_as_are_asked_for(name):
 def test_walkers_are_pedestrians():
     with pytest.raises(UsageError, match="--safe walkers needs a pedestrian; cyclist has a cyclist"):
         Plan(load_scenario("cyclist"), safe="walkers")
-
-
-def test_recorded_trajectory_that_starts_in_the_car_is_refused(tmp_path):
-    path = tmp_path / "phi.csv"
-    path.write_text("t,x,y\n0,0.5,-15\n3,2,0\n")
-    plan = replace(SMALL, safe=str(path), safe_count=1)
-    with pytest.raises(UsageError, match="where the car starts"):
-        safe_trajectories(plan, StubRunner(lambda _episode: Outcome.ARRIVED))
 
 
 def test_episode_ids_are_unique_and_bounded():

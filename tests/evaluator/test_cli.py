@@ -17,7 +17,6 @@ import pytest
 import shapely
 from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd, skd_from_nothing, started
 from common import PATIENCE, wait_until
-from forked_skd import ForkedSkd
 from skd_evaluator.files import PREFIX
 from skd_sim.world.episode import Mode, Outcome
 
@@ -244,25 +243,3 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
     finally:
         counted.unlink(missing_ok=True)
     one_line(skd(*command, "--resume", cwd=here), 2, "it is complete")
-
-
-def waiting_run(here: Path) -> ForkedSkd:
-    """Start an assessment that has begun and goes on once there is a file `go`."""
-    (here / "my_cars.py").write_text(
-        CONTROLLERS + "class Waits(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
-        "        open('begun', 'a').close()\n        while not os.path.exists('go'): time.sleep(0.01)\n"
-    )
-    command = ["assess", *SMALL, "--safe", "good.csv", "--out", "out"]
-    process = started(*command, "--adversary-model", "generic", "--controller", "my_cars:Waits", cwd=here)
-    wait_until((here / "begun").exists)
-    return process
-
-
-def test_two_runs_with_one_folder(here):
-    """The second is told at once, and the first is not disturbed."""
-    first = waiting_run(here)
-    one_line(skd("assess", *SMALL, "--out", "out", "--overwrite", cwd=here), 2, "--out out", "another run")
-    (here / "go").touch()
-    done = first.finish(PATIENCE)
-    assert done.returncode == 0, done.stderr
-    assert json.loads((here / "out" / "assessment.json").read_text())["pairs"] == 2

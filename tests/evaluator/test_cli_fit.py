@@ -135,5 +135,4 @@ def test_of_a_car_that_evades_it_says_so(tmp_path: Path, capsys: pytest.CaptureF
     assert run("fit", tmp_path / "probe", "--out", tmp_path / "fit") == 0
     assert "by a forest of recorded ticks, which say where it evades to" in capsys.readouterr().out
     forest = read_car_model(tmp_path / "fit").forest
-    assert forest is not None
     assert forest.evades

@@ -1,17 +1,14 @@
 """Extensions can be deleted: the rest neither imports nor needs them."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import skd_evaluator
 from cli_support import SMALL
-from common import PATIENCE
+from cli_support import skd_from_nothing as skd
 
 PACKAGE = Path(skd_evaluator.__file__).parent
 COMMANDS = {
@@ -27,17 +24,6 @@ def copied(folder: Path) -> Path:
     """A copy of the package, which a process in this folder imports in place of the other; compiled files, too."""
     shutil.copytree(PACKAGE, folder / PACKAGE.name, ignore=shutil.ignore_patterns("*.pyc.*"))  # which others write now
     return folder / PACKAGE.name
-
-
-def skd(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "skd_evaluator", *words],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(folder)},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
 
 
 def test_each_folder_is_an_extension():
@@ -57,7 +43,7 @@ def test_an_extension_is_imported_by_itself_alone(name: str):
 def test_help_does_without_an_extension(name: str, tmp_path: Path):
     package = copied(tmp_path)
     shutil.rmtree(package / "extensions" / name)
-    done = skd(tmp_path, "--help-all")
+    done = skd("--help-all", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     for extension, commands in COMMANDS.items():
         for command in commands:
@@ -66,10 +52,10 @@ def test_help_does_without_an_extension(name: str, tmp_path: Path):
 
 def test_cars_are_assessed_and_reported_without_any_extension(tmp_path: Path):
     shutil.rmtree(copied(tmp_path) / "extensions")
-    done = skd(tmp_path, "assess", *SMALL, "--out", "result", "--no-pictures")
+    done = skd("assess", *SMALL, "--out", "result", "--no-pictures", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads((tmp_path / "result" / "assessment.json").read_text("utf-8"))["controller"] == "basic"
-    assert skd(tmp_path, "report", "result", "--out", "page.html").returncode == 0
+    assert skd("report", "result", "--out", "page.html", cwd=tmp_path).returncode == 0
     assert "The regulator's view" not in (tmp_path / "page.html").read_text("utf-8")
 
 
@@ -95,7 +81,7 @@ def run(arguments):
 def test_a_command_is_one_file(tmp_path: Path):
     package = copied(tmp_path)
     (package / "cli" / "commands" / "greet.py").write_text(OWN)
-    assert re.search(r"^  greet +greet a user$", skd(tmp_path, "--help").stdout, re.MULTILINE)
-    assert "Greet a name, as often as is requested." in skd(tmp_path, "greet", "--help").stdout
-    done = skd(tmp_path, "greet", "--times", "2")
+    assert re.search(r"^  greet +greet a user$", skd("--help", cwd=tmp_path).stdout, re.MULTILINE)
+    assert "Greet a name, as often as is requested." in skd("greet", "--help", cwd=tmp_path).stdout
+    done = skd("greet", "--times", "2", cwd=tmp_path)
     assert (done.returncode, done.stdout.split(), done.stderr) == (3, ["hello", "hello"], "")

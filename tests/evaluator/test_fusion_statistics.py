@@ -245,9 +245,7 @@ def test_a_simulator_that_is_right_so_far_may_be_wrong_some_day():
 
 
 def paired_of(y: np.ndarray, every: np.ndarray, key: str) -> Pairs:
-    found = paired(FIGURES[key], trials_of(y, key), simulated_of(every, key))
-    assert found is not None
-    return found
+    return paired(FIGURES[key], trials_of(y, key), simulated_of(every, key))
 
 
 @pytest.mark.parametrize(("rho", "trials"), [(0.5, 10), (0.8, 10), (0.9, 20)])
@@ -270,8 +268,6 @@ def test_the_least_number_of_trials():
     for width in (0.5, 1.0):
         alone = estimate.trials_for_width(width, 1.0)
         both = estimate.trials_for_width(width, 1.0, 0.9, 5000)
-        assert alone is not None
-        assert both is not None
         assert estimate.width_alone(alone, 1.0) <= width < estimate.width_alone(alone - 1, 1.0)
         assert both < alone / 2
     assert estimate.trials_for_width(0.01, 1.0, 0.9, 50) is None  # what 50 simulated φ leave open is wider

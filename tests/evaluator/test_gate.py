@@ -1,7 +1,6 @@
 """The gate: which conditions hold, what continuous integration is told, and that a wrong name is said at once."""
 
 import json
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -108,14 +107,6 @@ def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(cars, tm
     assert "it would be less safe by deviation if it had hit in all of its aborted episodes" in found.text
     assert check_not_worse(tmp_path, mine).error
     assert check_not_worse(cars[1.15], mine).passed
-
-
-def doubted(folder: Path, to: Path) -> Path:
-    shutil.copytree(folder, to)
-    content = json.loads((to / "assessment.json").read_text(encoding="utf-8"))
-    content["warnings"] = [*content["warnings"], f"{NOT_CREDIBLE}it counts"]
-    (to / "assessment.json").write_text(json.dumps(content), encoding="utf-8")
-    return to
 
 
 @pytest.mark.parametrize("name", ["margin", "margin_p10", "equivalent_multiplier"])

@@ -1,12 +1,11 @@
 """Assessments from Python: the same numbers as the command line's."""
 
 import json
-import subprocess
 import sys
 import warnings
 
 import pytest
-from common import PATIENCE, run_skd
+from common import run_program, run_skd
 from skd_evaluator import AssessmentError, assess, load_result
 from skd_sim import UsageError
 
@@ -106,8 +105,6 @@ def test_two_threads_assess_a_car_of_a_users_own(tmp_path):
     """They hung for ever: of one a worker had been forked while the other was starting a program."""
     (tmp_path / "honest.py").write_text(HONEST)
     (tmp_path / "threads.py").write_text(THREADS)
-    done = subprocess.run(
-        [sys.executable, "threads.py"], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=True
-    )
+    done = run_program(sys.executable, "threads.py", cwd=tmp_path)
     first, second = map(float, done.stdout.splitlines())
     assert first == second > 0.0

@@ -24,7 +24,7 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
-from skd_evaluator.metrics.statistics import cantelli_bound, frechet_probability_bound, normal_interval
+from skd_evaluator.metrics.statistics import cantelli_bound, normal_interval
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Outcome
@@ -57,14 +57,9 @@ def test_the_area_above_the_curve_is_the_margin(groups):
     found = margins(groups)
     curve = found.curve.as_dict()
     assert curve["area_above"] == pytest.approx(found.mean, abs=1e-9)
-    values = np.concatenate([np.asarray(one) for one in groups])
     for point in curve["points"]:
-        # Who is within a tenth of a nanometre of φ has followed it.
-        assert point["probability"] == pytest.approx(np.mean(values <= max(point["eta"], 1e-10)))
         low, high = point["ci95"]
         assert 0.0 <= low <= point["probability"] <= high <= 1.0
-        assert point["probability"] <= point["cantelli"] + 1.0 / len(values)  # of the sample's variance, by n − 1
-        assert point["cantelli"] <= point["bound"] + 1e-12
     assert 0.0 <= found.ci95[0] <= found.mean <= found.ci95[1] <= 5.0
 
 
@@ -87,12 +82,6 @@ def test_nothing_to_say_is_said():
     assert alike.mean == 5.0
     assert alike.curve.as_dict()["steps"] == {"eta": [], "probability": []}
     assert any("same mean" in note for note in alike.clustered.notes)
-
-
-@given(st.floats(0.01, 10.0), st.floats(0.0, 30.0), st.floats(1e-3, 0.999))
-def test_cantelli_is_never_above_theorem_1(delta, variance, share):
-    eta = share * delta
-    assert cantelli_bound(eta, delta, variance) <= frechet_probability_bound(eta, delta, variance) + 1e-12
 
 
 @given(st.floats(0.0, 3.0), st.floats(0.01, 3.0), st.floats(0.001, 0.999))

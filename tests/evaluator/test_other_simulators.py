@@ -10,9 +10,11 @@ from common import assert_valid
 from skd_evaluator import assess
 from skd_evaluator.assessment.episode_figures import simulator_contacts
 from skd_evaluator.assessment.from_options import check_car
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.report.warnings import contact_warnings
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import SIMULATORS
+from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -104,15 +106,7 @@ def test_one_that_does_not_say_it_repeats_itself_has_neither(twin, monkeypatch):
     [("world", False, "add --simulator metadrive"), ("metadrive", True, "leave out --graph")],
 )
 def test_a_driver_of_one_simulator_is_refused_elsewhere(simulator, graph, instead):
-    values = {"controller": "metadrive_expert", "multiplier": 1.0, "simulator": simulator}
+    values = {one.name: one.unsaid for one in options_of(GraphOptions)}
+    values |= {"controller": "metadrive_expert", "multiplier": 1.0, "simulator": simulator}
     with pytest.raises(UsageError, match=f"decides within simulator metadrive: {instead}"):
-        check_car(values, CROSSING, graph=True) if graph else check_car(
-            {**_graph_options(), **values}, CROSSING, graph=False
-        )
-
-
-def _graph_options():
-    from skd_evaluator.assessment.options import GraphOptions
-    from skd_sim.options.options import options_of
-
-    return {one.name: one.unsaid for one in options_of(GraphOptions)}
+        check_car(values, CROSSING, graph=graph)

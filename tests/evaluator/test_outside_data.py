@@ -1,7 +1,5 @@
 """What others wrote: files that never begin or end, values where they cannot be."""
 
-import json
-import math
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line
+from edited_results import edit
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
@@ -27,22 +26,6 @@ def result(sweep: Path, tmp_path: Path) -> Path:
     return copy
 
 
-def change(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
-    path = folder / "assessment.json"
-    figures = json.loads(path.read_text())
-    edit(figures)
-    path.write_text(json.dumps(figures))
-
-
-def change_arrays(folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -> None:
-    path = folder / "episodes.npz"
-    with np.load(path) as file:
-        arrays = {name: file[name].copy() for name in file.files}
-    for name, edit in changes.items():
-        arrays[name] = edit(arrays[name])
-    np.savez(path, **arrays)
-
-
 FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
     "multiplier": lambda figures: figures.update(multiplier="abc"),
     "eta_max": lambda figures: figures.update(eta_max=0.0),
@@ -55,7 +38,7 @@ FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
 @pytest.mark.parametrize("name", FORGED)
 @pytest.mark.parametrize("command", ["report", "compare"])
 def test_a_value_of_another_kind_is_said_in_one_line(result, sweep, skd_here, name, command):
-    change(result, FORGED[name])
+    edit(result, FORGED[name])
     words = {
         "report": ["report", result, "--out", "r.html"],
         "compare": ["compare", sweep / "synthetic" / "C_0.5", result, "--out", "compared"],
@@ -63,26 +46,19 @@ def test_a_value_of_another_kind_is_said_in_one_line(result, sweep, skd_here, na
     one_line(skd_here(*map(str, words)), 2, "assessment.json")
 
 
-def put(value: float, place: int | slice = slice(None)) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that puts a value into an array."""
-
-    def edit(values: np.ndarray) -> np.ndarray:
-        values[place if values.ndim else ()] = value
-        return values
-
-    return edit
-
-
 @pytest.mark.parametrize(
-    ("name", "edit", "said"),
+    ("name", "place", "value", "said"),
     [
-        ("impact_speed", put(math.nan), "episodes.npz: a collision has no impact speed"),
-        ("positions", put(math.nan, 40), "a state is not finite"),
-        ("safe_index", put(9, -1), "a φ that is not there"),
+        ("impact_speed", slice(None), np.nan, "episodes.npz: a collision has no impact speed"),
+        ("positions", 40, np.nan, "a state is not finite"),
+        ("safe_index", -1, 9, "a φ that is not there"),
     ],
 )
-def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, edit, said):
-    change_arrays(result, **{name: edit})
+def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, place, value, said):
+    with np.load(result / "episodes.npz") as file:
+        arrays = dict(file)
+    arrays[name][place] = value
+    np.savez(result / "episodes.npz", **arrays)
     one_line(skd_here("report", str(result), "--format", "png", "--out", "shown"), 2, said)
 
 

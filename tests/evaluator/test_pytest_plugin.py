@@ -1,17 +1,15 @@
 """The plug-in of pytest, in a pytest of its own."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from common import run_program
 from comparison_support import FIGURES
 from skd_evaluator import library
 from skd_evaluator.assessment.compare.gate import not_worse
@@ -20,7 +18,6 @@ from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Assessor
-from skd_sim.scenario.scenario import load_scenario
 
 CONFTEST = """
 import json, pathlib
@@ -62,15 +59,9 @@ def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
     shutil.copy(sweep / "synthetic" / "C_1" / "assessment.json", tmp_path / "figures.json")
     (tmp_path / "conftest.py").write_text(CONFTEST)
     (tmp_path / "test_cars.py").write_text(TESTS)
-    words = ["-p", "skd_evaluator.pytest_plugin", "-p", "no:cacheprovider", "-q", "--skd-out", "kept"]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", *words, str(tmp_path)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTEST_ADDOPTS": "", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = [sys.executable, "-m", "pytest", "-p", "skd_evaluator.pytest_plugin", "-p", "no:cacheprovider", "-q"]
+    variables = {"PYTEST_ADDOPTS": "", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    done = run_program(*words, "--skd-out", "kept", tmp_path, cwd=tmp_path, **variables)
     assert "1 failed, 2 passed" in done.stdout, done.stdout + done.stderr
     assert "<Safety margin " in done.stdout  # what failed says of which car
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["0"]
@@ -119,20 +110,13 @@ def test_a_car_without_margin_and_skd_passes_no_test(tmp_path: Path, monkeypatch
     assert Assessor(tmp_path).assess(MyCar).figures["margin"] == 5.0
 
 
-def of_a_car(
-    name: str, margin: float, risks: tuple[float, float], *, phi: int = 8, scenario: str = "crossing"
-) -> StoredResult:
-    """Return a result whose margins are near one value on every φ, and R(2) another one on every second."""
-    draws = np.random.default_rng(1)
-    figures = {**FIGURES, "scenario": load_scenario(scenario).as_dict()}
-    planned = tuple(np.ones((phi, 20)))
-    groups = {
-        "margin": tuple(margin + 0.1 * draws.random((phi, 20))),
-        "risk_2": tuple(np.full(20, risks[index % 2]) for index in range(phi)),
-        **dict.fromkeys(("nominal_collision_rate", "contact_rate", "deviation", "skd", "skd_prefix"), planned),
-    }
-    safe = tuple(np.full((3, 2), float(index)) for index in range(phi))
-    return StoredResult(Path(name), figures, safe, None, groups)
+def of_a_car(name: str, margin: float, **limits: object) -> StoredResult:
+    """Return a result whose margins are near one value on every φ."""
+    groups = {"margin": tuple(margin + 0.1 * np.random.default_rng(1).random((8, 20)))}
+    same = ("risk_2", "nominal_collision_rate", "contact_rate", "deviation", "skd", "skd_prefix")
+    groups |= dict.fromkeys(same, tuple(np.ones((8, 20))))
+    safe = tuple(np.full((3, 2), float(index)) for index in range(8))
+    return StoredResult(Path(name), {**FIGURES, **limits}, safe, None, groups)
 
 
 @pytest.mark.parametrize(
@@ -148,9 +132,8 @@ def test_no_gate_passes_by_an_upper_bound(margins: tuple[float, float], bound: s
     """Mine may be less than it says; an earlier one may be, and where it is the less anyhow it does no harm."""
     found = {}
     for name, margin in zip(("earlier", "mine"), margins, strict=True):
-        one = of_a_car(name, margin, (0.5, 0.5))
         limits = {"margin_converged": False, "margin_budget": 64} if name == bound else {}
-        found[name] = replace(one, figures={**one.figures, **limits})
+        found[name] = of_a_car(name, margin, **limits)
     check = not_worse(found["mine"], found["earlier"])
     assert (check.failed, check.error, check.passed) == (why == "worse", why not in (None, "worse"), why is None)
     if check.error:

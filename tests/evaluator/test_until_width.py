@@ -5,13 +5,12 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_support import CROSSING, SMALL
+from cli_support import SMALL, skd
 from common import PATIENCE
 from scipy import stats
 from skd_evaluator.assessment.assessment import Assessment
@@ -103,33 +102,15 @@ def test_the_bounds_are_pococks(looks, bound):
     assert stats.norm.ppf(0.5 + nominal_confidence(looks) / 2.0) == pytest.approx(bound, abs=6e-4)
 
 
-def run(here: Path, *words: str, first: Callable[[], object]) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process in which something is called first; no stream of its is a pipe that `first` closes."""
-    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", *words]
-    variables = {**os.environ, "PYTHONPATH": str(here)}
-    with (here / "said").open("w") as said:
-        done = subprocess.run(
-            command, cwd=here, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env=variables,
-            preexec_fn=first, timeout=PATIENCE, check=False,
-        )  # fmt: skip
-    return subprocess.CompletedProcess(command, done.returncode, (here / "said").read_text())
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    here = tmp_path_factory.mktemp("results")
-    (here / "good.csv").write_text(CROSSING)
-    assert run(here, "--no-pictures", "--margin-limit", "0", "--out", "first", first=lambda: None).returncode == 0
-    shutil.copytree(here / "first", here / "second")
-    return here
-
-
-def test_what_nobody_reads_is_written(results: Path) -> None:
+def test_what_nobody_reads_is_written(here: Path) -> None:
     """The tables are printed before anything is written, as pictures take longer."""
+    small = (*SMALL, "--safe", "good.csv", "--no-pictures", "--margin-limit", "0")
+    assert skd("assess", *small, "--out", "first", cwd=here).returncode == 0
+    shutil.copytree(here / "first", here / "second")
     reading, writing = os.pipe()
     os.close(reading)
     words = [sys.executable, "-m", "skd_evaluator", "compare", "first", "second", "--no-pictures", "--out", "c"]
-    done = subprocess.run(words, cwd=results, stdout=writing, stderr=subprocess.PIPE, timeout=PATIENCE, check=False)
+    done = subprocess.run(words, cwd=here, stdout=writing, stderr=subprocess.PIPE, timeout=PATIENCE, check=False)
     os.close(writing)
     assert (done.returncode, b"Traceback" in done.stderr) == (1, False)
-    assert (results / "c" / "manifest.sha256").exists()
+    assert (here / "c" / "manifest.sha256").exists()

@@ -3,13 +3,13 @@
 import json
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cli_support import skd, skd_from_nothing
+from common import run_program
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_sim" / "skd_sim" / "scenarios"
 DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -101,10 +101,8 @@ def test_a_road_user_of_another_kind(package: Path, tmp_path: Path):
     """It rides within its own limits: 2 m/s² to speed up, 4 to brake, and so beyond those of a cyclist."""
     scenario = (SCENARIOS / "cyclist.yaml").read_text(encoding="utf-8").replace("kind: cyclist", "kind: cargo_bike")
     (tmp_path / "cargo_bike.yaml").write_text(scenario, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-c", RIDE], cwd=tmp_path, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(package), os.environ.get("PYTHONPATH", "")))},
-    )  # fmt: skip
+    path = os.pathsep.join((str(package), os.environ.get("PYTHONPATH", "")))
+    done = run_program(sys.executable, "-c", RIDE, cwd=tmp_path, PYTHONPATH=path)
     assert done.returncode == 0, done.stderr
     speeds = np.hypot(*np.diff(json.loads(done.stdout), axis=0).T) / 0.3
     changes = np.diff(speeds) / 0.3

@@ -32,16 +32,6 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Outcome
 
 
-def commands(folder: Path, other: Path) -> list[list[str]]:
-    return [
-        ["report", str(folder), "--out", "r.html"],
-        ["report", str(folder), "--format", "png", "--out", "shown"],
-        ["compare", str(other), str(folder), "--out", "compared"],
-        ["compare", str(folder), "--width", "0.2"],
-        ["assess", "--fail-if-worse-than", str(folder), "--out", "assessed"],
-    ]
-
-
 def at(figures: dict[str, Any], *path: Any) -> Any:
     for word in path:
         figures = figures[word]
@@ -130,8 +120,13 @@ def test_verify_reads_sweeps_and_says_what_is_none(sweep: Path, result: Path, sk
 
 def test_every_reader_refuses_a_file_that_was_changed_in_one_line(result: Path, sweep: Path, skd_here) -> None:
     edit(result, CHANGES["skd"], "kept")
-    for words in commands(result, sweep / "synthetic" / "C_0.5"):
-        one_line(skd_here(*words), 2, "assessment.json", "is not what was written")
+    for words in (
+        ("report", result, "--out", "r.html"),
+        ("compare", sweep / "synthetic" / "C_0.5", result, "--out", "compared"),
+        ("compare", result, "--width", "0.2"),
+        ("assess", "--fail-if-worse-than", result, "--out", "assessed"),
+    ):
+        one_line(skd_here(*map(str, words)), 2, "assessment.json", "is not what was written")
 
 
 def said_by(stored: StoredEpisodes) -> list[bytes]:

@@ -31,7 +31,6 @@ class Played:
 
     def run(self, episodes: Sequence[EpisodeSpec]) -> Iterator[EpisodeLog]:
         reward = fitted_car(episodes[0].car_model).waiting_reward
-        assert reward is not None
         self.asked.append((reward, list(episodes)))
         for number, one in enumerate(episodes):
             far = self.strayed[reward][number % len(self.strayed[reward])]

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import road_user_limits
+from common import run_program
 from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
@@ -51,9 +52,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def python(program: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join((str(site), os.environ.get("PYTHONPATH", "")))
-    return subprocess.run(
-        [sys.executable, "-c", program], cwd=cwd, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}
-    )
+    return run_program(sys.executable, "-c", program, cwd=cwd, PYTHONPATH=path)
 
 
 @pytest.fixture

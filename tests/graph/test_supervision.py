@@ -123,7 +123,6 @@ def test_another_simulator_is_not_held_to_the_laws_of_this_world(replay: Episode
     car[2, 3] += 0.2
     other = dataclasses.replace(log, car=car)
     said = refuted(other, own_world=True)
-    assert said is not None
     assert "the car's speed at tick 2" in said
     elsewhere = dataclasses.replace(replay, simulator="metadrive")
     assert refuted(dataclasses.replace(other, episode=elsewhere), own_world=True) is None

@@ -43,7 +43,6 @@ LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 def sharp(name: str, **changes: Any) -> EpisodeSpec:
     """An episode whose laser has no noise, with ten states a second and more."""
     scenario = load_scenario(name)
-    assert scenario.sensor is not None
     sensor = dataclasses.replace(scenario.sensor, range_noise=0.0, dropout=0.0)
     return EpisodeSpec(dataclasses.replace(scenario, sensor=sensor, control_period=0.05, **changes), Mode.SAFE, 0, 0)
 

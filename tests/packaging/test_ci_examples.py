@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
-from common import PATIENCE
+from common import run_program
 from packaging_support import ROOT
 from skd_evaluator.assessment.files.assessment_json import check_figure
 from skd_evaluator.cli.parser import make_parser, parse
@@ -41,10 +41,7 @@ def rate(folder: Path, **inputs: str) -> tuple[subprocess.CompletedProcess[str],
     environment["SKD_CACHE_DIR"] = os.environ.get("SKD_CACHE_DIR", str(Path.home() / ".cache" / "skd"))
     if not (folder / "skd").exists():
         (folder / "skd").symlink_to(sys.prefix)
-    done = subprocess.run(
-        ["bash", "-e", "-o", "pipefail", "-c", STEPS["Rate"]["run"]],
-        cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=PATIENCE, check=False,
-    )  # fmt: skip
+    done = run_program("bash", "-e", "-o", "pipefail", "-c", STEPS["Rate"]["run"], cwd=folder, **environment)
     lines = (folder / "GITHUB_OUTPUT").read_text(encoding="utf-8").splitlines()
     return done, {name: folder / path for name, path in (line.split("=", 1) for line in lines)}
 

@@ -1,7 +1,6 @@
 """Files of the repository, launch files included."""
 
 import ast
-import os
 import re
 import shutil
 import subprocess
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from common import PATIENCE
+from common import run_program
 from packaging_support import NODES, ROOT, SOURCE, STEERING, settings
 from skd_evaluator.ros.launch_support import _PACKAGES, arguments_of, text_of, values_and_nodes
 
@@ -48,9 +47,7 @@ def test_links_of_the_documents_lead_somewhere(document):
 
 
 def run_script(name: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"SKD_ENV": str(Path(sys.executable).parent)}
-    command = [str(ROOT / "scripts" / name), *arguments]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=PATIENCE)
+    return run_program(ROOT / "scripts" / name, *arguments, cwd=cwd, SKD_ENV=str(Path(sys.executable).parent))
 
 
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

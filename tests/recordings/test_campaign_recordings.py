@@ -138,14 +138,11 @@ def test_a_search_that_found_no_hit_is_said(tmp_path: Path, capsys: pytest.Captu
 _numbered = st.sets(st.tuples(st.integers(0, 3), st.integers(0, 4)), max_size=8)
 
 
-def _told(announced: list[int]) -> list[str]:
-    return missing_episodes(announced, {}, requested=1, left_out=False)
-
-
 @given(_numbered)
 def test_runs_are_missing_where_a_full_campaign_would_have_them(runs: set[tuple[int, int]]) -> None:
     """Said just where the runs are not all that some campaign has, which deals them out in turns."""
-    lines = _told([episode_id(EpisodeGroup.NOMINAL, index, run) for index, run in runs])
+    announced = [episode_id(EpisodeGroup.NOMINAL, index, run) for index, run in runs]
+    lines = missing_episodes(announced, {}, requested=1, left_out=False)
     safe = max((index for index, _ in runs), default=-1) + 1
     dealt = {(number % safe, number // safe) for number in range(len(runs))} if safe else set()
     assert bool(lines) == (runs != dealt)

@@ -135,6 +135,7 @@ def test_a_class_of_a_file_is_found_by_its_path_and_two_files_of_one_name_are_tw
         ("nothing.py:Car", "nothing.py: there is no such file"),
         ("nothing.py", "nothing.py: there is no such file"),
         ("./car.py", "controller car.py: name a class, as car.py:Class; it has .*Braking"),
+        ("nowhere.at.all:Car", "controller nowhere.at.all:Car cannot be loaded: ModuleNotFoundError"),
         ("syntax.py:Car", r"cannot be loaded: SyntaxError: .*syntax.py, line 1"),
         ("raises.py:Car", r"cannot be loaded: NameError: .*\(raises.py, line 2\)$"),
     ],

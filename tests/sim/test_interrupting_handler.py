@@ -1,6 +1,5 @@
 """A signal that comes in what machine code calls is not lost, and ends nothing by SIGSEGV."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -8,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from common import PATIENCE
+from common import run_program
 from skd_sim.interruption import Interrupted, Interruption
 
 PROGRAM = """
@@ -50,13 +49,8 @@ def test_a_signal_while_llvm_asks_for_code(tmp_path: Path, asked: str, number: i
     (tmp_path / "program.py").write_text(PROGRAM)
 
     def run(with_signal: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, tmp_path / "program.py", asked, str(int(number)), with_signal],
-            env={**os.environ, "SKD_CACHE_DIR": str(tmp_path / "kernels")},
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE,
-        )
+        words = (sys.executable, tmp_path / "program.py", asked, int(number), with_signal)
+        return run_program(*words, SKD_CACHE_DIR=str(tmp_path / "kernels"))
 
     if asked == "getbuffer":  # of what was compiled before
         assert run("").stdout == "not interrupted 6.0\n"

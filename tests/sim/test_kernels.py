@@ -1,7 +1,6 @@
 """Compiled code that is kept is that of the sources; what it draws is numpy's; and arithmetic has a digest."""
 
 import enum
-import os
 import shutil
 import subprocess
 import sys
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from common import PATIENCE
+from common import run_program
 from skd_sim.kernels.compilation import digest_of, kernel
 from skd_sim.kernels.stream import Stream, stream_of
 from skd_sim.world.state import FloatArray
@@ -56,16 +55,10 @@ print(bound(_search_template, "mine", {"_step": step})(Parameters(near=1.0, far=
 """
 
 
-def run(folder: Path, script: str = "model.py", **environment: str) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, script: str = "model.py") -> subprocess.CompletedProcess[str]:
     """Run a script in a process of its own, as another session would."""
-    return subprocess.run(
-        [sys.executable, script],
-        cwd=folder,
-        env={**os.environ, "SKD_CACHE_DIR": str(folder / "cache"), "PYTHONDONTWRITEBYTECODE": "1", **environment},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
+    cache = str(folder / "cache")
+    return run_program(sys.executable, script, cwd=folder, SKD_CACHE_DIR=cache, PYTHONDONTWRITEBYTECODE="1")
 
 
 def answer(folder: Path) -> float:
