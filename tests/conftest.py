@@ -14,6 +14,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +58,20 @@ def pictures_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Figure, "savefig", DRAW)
     monkeypatch.setattr(vl_convert, "vegalite_to_png", CHART)
+
+
+@pytest.fixture
+def skd_here(tmp_path, monkeypatch, capsys):
+    """`skd` in this process, for cases of which one in a process of its own shows enough: Python's start takes long."""
+    from common import run_skd
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        monkeypatch.chdir(tmp_path)
+        capsys.readouterr()
+        code = run_skd(*arguments)
+        return subprocess.CompletedProcess(arguments, code, *capsys.readouterr())
+
+    return run
 
 
 def _turn(item: pytest.Item) -> int:

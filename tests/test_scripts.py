@@ -25,17 +25,13 @@ def without_choice() -> dict[str, str]:
     return {key: value for key, value in os.environ.items() if key not in ("ROS_DISTRO", "SKD_ENV", "SKD_PYTHON")}
 
 
-def run(copy: Path, script: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run(
+    copy: Path, script: str, *arguments: object, cwd: Path | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
     # No script may reach the network from here, whatever goes wrong.
-    clean = without_choice() | {"PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull}
-    return subprocess.run(
-        [copy / "scripts" / script, *arguments],
-        cwd=copy.parent,
-        env=clean | environment,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
+    variables = without_choice() | {"PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull} | environment
+    words, said = [copy / "scripts" / script, *arguments], {"capture_output": True, "text": True}
+    return subprocess.run(words, cwd=cwd or copy.parent, env=variables, timeout=PATIENCE, **said)
 
 
 def make_environment(copy: Path, name: str) -> None:
@@ -107,14 +103,7 @@ def test_a_class_in_the_working_folder_is_found_and_hides_no_module_of_skds(tmp_
         "    def command(self, car, adversary): return 'hash seed ' + os.environ['PYTHONHASHSEED']\n"
     )
     words = ("--adversary-model", "generic", "--margin-limit", "0", "--behaviour", "none", "--safe-count", "1", "-q")
-    done = subprocess.run(
-        [ROOT / "scripts" / "skd", "assess", "--controller", "car:Car", *words, "--out", tmp_path / "out"],
-        cwd=tmp_path,
-        env=without_choice() | {"SKD_ENV": str(Path(sys.executable).parent)},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
+    words += ("--controller", "car:Car", "--out", tmp_path / "out")
+    done = run(ROOT, "skd", "assess", *words, cwd=tmp_path, SKD_ENV=str(Path(sys.executable).parent))
     assert "command must return a finite number (m/s²), got 'hash seed 0'" in done.stderr, done.stderr
     assert done.returncode == 1

@@ -1,7 +1,6 @@
 """The crossing as a POMDP, composed of its parts, and the adversary that plans in it."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -212,23 +211,15 @@ def _go(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     return EAST if state[ADVERSARY_X] < parameters.wanted_x - 0.1 else STAY
 
 
-def _numbers(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
-    return {"wanted_x": -2.0}
-
-
-def _one(points: int) -> int:
-    return 1
-
-
 WAIT = ObjectiveModel(
     "wait",
     1.0,
     PlannerOptions(simulations=1000, exploration=1.0, particles=300),
-    _numbers,
+    lambda _scenario, _path: {"wanted_x": -2.0},
     step=_step_composition,
     rollout_action=_go,
     begin=_begin,
-    own_dim=_one,
+    own_dim=lambda _points: 1,
 )
 
 
@@ -262,11 +253,6 @@ ACROSS = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.75), np.zeros(9)]), 
 DRAWS = 4000
 
 
-def noisy(position: float, distance: float) -> Scenario:
-    adversary = replace(CROSSING.adversary, position_noise=position, distance_noise=distance)
-    return replace(CROSSING, adversary=adversary)
-
-
 def adversary(scenario: Scenario, controller: str) -> PlanningAdversary:
     episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 3, 1, controller=controller, safe_trajectory=ACROSS, simulations=1)
     made = make_adversary(episode)
@@ -281,7 +267,9 @@ def adversary(scenario: Scenario, controller: str) -> PlanningAdversary:
 def test_what_is_seen_is_the_truth_and_the_noise_that_the_scenario_says(controller, truth, noise):
     """Of n normal draws mean and deviation are within 4.5 standard errors: σ/√n and σ/√2n."""
     mine = (noise, 7.0) if controller == "basic" else (7.0, noise)  # the other sensor's must not be taken
-    sees = adversary(noisy(*mine), controller)
+    position, distance = mine
+    noisy = replace(CROSSING.adversary, position_noise=position, distance_noise=distance)
+    sees = adversary(replace(CROSSING, adversary=noisy), controller)
     seen = np.array([sees._sense(CarState(0.0, -12.0, np.pi / 2, 8.0))[0] for _ in range(DRAWS)])
     assert seen.mean() == pytest.approx(truth, abs=4.5 * noise / np.sqrt(DRAWS))
     assert seen.std() == pytest.approx(noise, rel=4.5 / np.sqrt(2 * DRAWS))

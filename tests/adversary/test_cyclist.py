@@ -48,18 +48,8 @@ def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
     hits = 0
     strange = False
     for number in range(8):
-        log = run_episode(
-            EpisodeSpec(
-                SCENARIO,
-                Mode.KAMIKAZE,
-                5,
-                number,
-                multiplier=0.75,
-                safe_trajectory=ACROSS,
-                simulations=200,
-                objective=objective,
-            )
-        )
+        how = {"multiplier": 0.75, "safe_trajectory": ACROSS, "simulations": 200, "objective": objective}
+        log = run_episode(EpisodeSpec(SCENARIO, Mode.KAMIKAZE, 5, number, **how))
         hits += log.outcome == Outcome.COLLISION
         found = recompute(log)
         assert found.deviation <= ROUNDING, found.where

@@ -160,17 +160,13 @@ BENT_FRECHET = np.array(
 LIMITS = (None, 1.8, 1.5)
 
 
-def _model(limit: float | None = None, *, known: bool = True) -> Pomdp:
-    car = known_basic_car(0.75) if known else unknown_car()
-    start = (float(BENT_FRECHET[0, 0]), float(BENT_FRECHET[0, 1]))
-    return compose(CROSSING, FRECHET, car, start=start, gap=13.0, path=BENT_FRECHET, maximum_distance=limit)
-
-
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("limit", LIMITS)
 def test_return_of_a_collision_is_its_reward_less_the_frechet_distance(limit: float | None, known: bool) -> None:
     """Play the model with the default policy and with random actions; measure ψ with another library."""
-    model, rng = _model(limit, known=known), np.random.default_rng(1)
+    car, start = known_basic_car(0.75) if known else unknown_car(), tuple(BENT_FRECHET[0].tolist())
+    model = compose(CROSSING, FRECHET, car, start=start, gap=13.0, path=BENT_FRECHET, maximum_distance=limit)
+    rng = np.random.default_rng(1)
     collisions = beyond = 0
     for episode in range(300):
         walked, earned, terminal, contact, _ = played(model, rng, ACTION_COUNT, by_policy=bool(episode % 2))

@@ -57,11 +57,6 @@ def _shares(model: Pomdp, p_right: float, options: PlannerOptions, runs: int) ->
     return np.bincount(actions, minlength=3) / runs
 
 
-def belief_after(count: int) -> float:
-    """How probable the tiger is on the side where it was heard `count` times oftener than on the other."""
-    return 1.0 / (1.0 + ((1.0 - ACCURACY) / ACCURACY) ** count)
-
-
 @pytest.mark.parametrize("horizon", [1, 2, 3])
 def test_root_value_is_the_optimum_of_a_short_horizon(horizon: int) -> None:
     """Discrete observations counted twice would give +5.3 at horizon 2 instead of −1.95."""
@@ -91,7 +86,9 @@ OPTIONS = PlannerOptions(simulations=4000, depth=25, exploration=110.0, backup=B
 def test_action_after_each_observation_count_is_the_optimal_one(count: int) -> None:
     optimal = OPEN_LEFT if count >= 2 else OPEN_RIGHT if count <= -2 else LISTEN
     runs = 20
-    share = _shares(tiger(), belief_after(count), OPTIONS, runs)[optimal]
+    # how probable the tiger is on the side where it was heard so much oftener than on the other
+    p_right = 1.0 / (1.0 + ((1.0 - ACCURACY) / ACCURACY) ** count)
+    share = _shares(tiger(), p_right, OPTIONS, runs)[optimal]
     # Optimal more often than not, at the 0.1 % level (binomial).
     assert share >= 0.5 + 3.1 * math.sqrt(0.25 / runs)
 

@@ -111,15 +111,8 @@ def test_a_kamikaze_leaves_phi_by_what_a_driver_does_and_for_nothing_beyond_eta_
     """
     strayed = []
     for number in range(20):
-        log = cut_in(
-            number,
-            Mode.KAMIKAZE,
-            "basic",
-            multiplier=0.5,
-            simulations=300,
-            objective=Objective.DEVIATION,
-            adversary_model=AdversaryModel.EXACT,
-        )
+        how = {"objective": Objective.DEVIATION, "adversary_model": AdversaryModel.EXACT}
+        log = cut_in(number, Mode.KAMIKAZE, "basic", multiplier=0.5, simulations=300, **how)
         ticks = log.impact_time / STEP
         found = deviation(AHEAD.positions, log.trajectory.positions, ticks) if log.hit else CUT_IN.eta_max
         strayed.append(min(CUT_IN.eta_max, found))

@@ -265,34 +265,21 @@ MODELS = {
 SMALL = PlannerOptions(
     simulations=150, depth=6, exploration=8.0, particles=40, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
 )
+OPTIONS = {
+    "nearest": SMALL,
+    "mean": replace(SMALL, backup=Backup.MEAN),
+    "most-visited": replace(SMALL, backup=Backup.MOST_VISITED),
+    "one-step": replace(SMALL, depth=1),
+    "narrow": replace(SMALL, depth=2, observation_factor=1.0, observation_exponent=0.6),
+    "no-widening": replace(SMALL, observation_factor=math.inf, simulations=60),
+    "default": PlannerOptions(simulations=150, depth=6, particles=40),
+    "one-reference": replace(SMALL, cells=Cells.LIKELIHOOD, references=1, cell_distance=0.0),
+    "many-references": replace(SMALL, cells=Cells.LIKELIHOOD, observation_factor=1.0, references=20),
+}
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize(
-    "options",
-    [
-        SMALL,
-        replace(SMALL, backup=Backup.MEAN),
-        replace(SMALL, backup=Backup.MOST_VISITED),
-        replace(SMALL, depth=1),
-        replace(SMALL, depth=2, observation_factor=1.0, observation_exponent=0.6),
-        replace(SMALL, observation_factor=math.inf, simulations=60),
-        PlannerOptions(simulations=150, depth=6, particles=40),
-        replace(SMALL, cells=Cells.LIKELIHOOD, references=1, cell_distance=0.0),
-        replace(SMALL, cells=Cells.LIKELIHOOD, observation_factor=1.0, references=20),
-    ],
-    ids=[
-        "nearest",
-        "mean",
-        "most-visited",
-        "one-step",
-        "narrow",
-        "no-widening",
-        "default",
-        "one-reference",
-        "many-references",
-    ],
-)
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_every_visit_and_every_mean_is_that_of_the_readable_search(name: str, options: PlannerOptions) -> None:
     model = MODELS[name]
     rng, other = np.random.default_rng(5), np.random.default_rng(5)

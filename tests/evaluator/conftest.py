@@ -1,12 +1,10 @@
 """A folder to run `skd` in, and `skd` in the tests' own process."""
 
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 from cli_support import CONTROLLERS, CROSSING
-from common import run_skd
 from report_support import make_sweep
 
 
@@ -18,15 +16,9 @@ def here(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def skd_here(here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """`skd` in this process, for cases of which one in a process of its own shows enough: Python's start takes long."""
-
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        monkeypatch.chdir(here)
-        code = run_skd(*arguments)
-        return subprocess.CompletedProcess(arguments, code, *capsys.readouterr())
-
-    return run
+def skd_here(here, skd_here):
+    """`skd` in this process, in the folder `here`."""
+    return skd_here
 
 
 @pytest.fixture(scope="session")

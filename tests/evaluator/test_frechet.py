@@ -17,10 +17,6 @@ def curves(dimension: int, longest: int = 12) -> st.SearchStrategy[np.ndarray]:
     return hnp.arrays(np.float64, st.tuples(st.integers(1, longest), st.just(dimension)), elements=GRID)
 
 
-def tuples_of_curves(count: int, longest: int = 12) -> st.SearchStrategy[tuple[np.ndarray, ...]]:
-    return st.integers(1, 4).flatmap(lambda d: st.tuples(*[curves(d, longest)] * count))
-
-
 def row_by_row(p: np.ndarray, q: np.ndarray) -> float:
     """The textbook recurrence over a full table."""
     squared = sum((p[:, None, c] - q[None, :, c]) ** 2 for c in range(p.shape[1]))
@@ -58,7 +54,7 @@ def test_equals_shapely_for_curves_of_one_length(n):
 
 
 @settings(max_examples=200)
-@given(tuples_of_curves(3), st.lists(GRID, min_size=4, max_size=4))
+@given(st.integers(1, 4).flatmap(lambda d: st.tuples(*[curves(d)] * 3)), st.lists(GRID, min_size=4, max_size=4))
 def test_is_a_pseudometric_that_ignores_translation(three, shift):
     p, q, r = three
     distance = discrete_frechet(p, q)

@@ -143,15 +143,11 @@ def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
         recorder().measured(path, PhysicalTrial("walkk"))
 
 
-def reached(x: float) -> float:
-    """The gap from which the car comes to the crossing line when the road user is there, m."""
-    return SPEED * (x + 3.5) / WALKED
-
-
 def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
     """The road user has nearly left the car's strip, and is 0.15 m inside the corner at the most."""
     edge = SCENARIO.car.half_width + SCENARIO.adversary.reach
-    path = tracked(tmp_path / "a.csv", gap=reached(edge - 0.15))
+    gap = SPEED * (edge - 0.15 + 3.5) / WALKED  # from which the car comes to the crossing line when they are there
+    path = tracked(tmp_path / "a.csv", gap=gap)
     seen = recorder().measured(path, PhysicalTrial("walk"))
     assert seen.values["hit"] == 1.0
     said = recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))

@@ -2,16 +2,15 @@
 
 import json
 import math
-import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from cli_support import one_line
 from hypothesis import given
 from hypothesis import strategies as st
+from report_support import edited
 from scipy import stats
 from skd_adversary.crossing import road_users
 from skd_adversary.crossing.road_users import road_user_named
@@ -161,13 +160,6 @@ def folders(ratings: dict[float, Assessment], tmp_path_factory: pytest.TempPathF
         folder.mkdir()
         write_assessment(folder, rating)
     return found
-
-
-def edited(folder: Path, to: Path, **changes: Any) -> Path:
-    shutil.copytree(folder, to)
-    path = to / "assessment.json"
-    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | changes), encoding="utf-8")
-    return to
 
 
 def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_path):

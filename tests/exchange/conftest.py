@@ -1,6 +1,5 @@
 """A small result to export, and `skd` in the tests' own process."""
 
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -18,14 +17,3 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("exchange") / "result"
     assert run_skd("assess", "--scenario", "bystanders", *SIZES, "--out", folder) == 0
     return folder
-
-
-@pytest.fixture
-def skd_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-        monkeypatch.chdir(tmp_path)
-        capsys.readouterr()
-        code = run_skd(*map(str, arguments))
-        return subprocess.CompletedProcess(arguments, code, *capsys.readouterr())
-
-    return run

@@ -2,10 +2,8 @@
 
 import logging
 import os
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from skd_evaluator.extensions.exchange.scene import ExportedEpisode, actors_of, start_of
@@ -82,15 +80,12 @@ def checked(path: Path) -> dict[str, tuple[str, list[str]]]:
         result.register_checker_bundle(name=constants.BUNDLE_NAME, description="", version="1", summary="")
         result.set_result_version(version="1")
         run_checks(asked, result)
-        return dict(_verdicts(result))
+        (bundle,) = result._report_results.checker_bundles
+        return {
+            one.checker_id: (one.status.name, [issue.description for issue in one.issues]) for one in bundle.checkers
+        }
     finally:
         logging.disable(logging.NOTSET)
-
-
-def _verdicts(result: Any) -> Iterator[tuple[str, tuple[str, list[str]]]]:
-    (bundle,) = result._report_results.checker_bundles
-    for one in bundle.checkers:
-        yield one.checker_id, (str(one.status.name), [issue.description for issue in one.issues])
 
 
 def passes(path: Path) -> bool:

@@ -73,15 +73,8 @@ def test_lanelets_lead_the_way_their_lanes_do(tmp_path: Path):
         root = ElementTree.parse(tmp_path / "one.xml").getroot()
         numbers = sorted(one.scenario.road.every_lane)
         for number, lanelet in zip(numbers, root.findall("lanelet"), strict=True):
-            bounds = [
-                np.array(
-                    [
-                        [float(point.findtext(axis, "nan")) for axis in "xy"]
-                        for point in lanelet.findall(f"{side}/point")
-                    ]
-                )
-                for side in ("leftBound", "rightBound")
-            ]
+            sides = [lanelet.findall(f"{side}/point") for side in ("leftBound", "rightBound")]
+            bounds = [np.array([[float(one.findtext(axis, "nan")) for axis in "xy"] for one in side]) for side in sides]
             ahead = bounds[0][1] - bounds[0][0]
             right = bounds[1][0] - bounds[0][0]
             assert ahead[0] * right[1] - ahead[1] * right[0] < 0.0

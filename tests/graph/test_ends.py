@@ -129,14 +129,11 @@ except KeyboardInterrupt:
 
 def interrupted(command: list[str], number: int, path: Path) -> Finished:
     """Start a command, and send it a signal as soon as it has said something."""
-    program = Program(command, {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": _first_on_path(path)})
+    paths = ":".join([str(path), *(entry for entry in sys.path if entry)])
+    program = Program(command, {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": paths})
     assert wait_for_line(program.popen, "") == "importing\n"
     program.popen.send_signal(number)
     return program.finish()
-
-
-def _first_on_path(folder: Path) -> str:
-    return ":".join([str(folder), *(entry for entry in sys.path if entry)])
 
 
 @pytest.mark.parametrize(

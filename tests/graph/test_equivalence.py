@@ -213,17 +213,9 @@ PLANNED = ("deviation", "deviation_ci95", "skd", "skd_ci95", "variance", "pairs"
 
 def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """That of the basic car is known exactly; whoever drives a node can find no less, and little more."""
-    car = (
-        "--controller",
-        "external",
-        "--controller-command",
-        NODE,
-        "--adversary-model",
-        "generic",
-        "--margin-limit",
-        256,
-    )
-    graph = skd("assess", "--graph", *car, *COUNTS, "--record", "--out", tmp_path / "graph")
+    car = ("--controller", "external", "--controller-command", NODE, "--adversary-model", "generic")
+    limit = ("--margin-limit", 256)
+    graph = skd("assess", "--graph", *car, *limit, *COUNTS, "--record", "--out", tmp_path / "graph")
     assert graph.code == 0, graph.err
     ours = ("--multiplier", 1.0, *COUNTS, "--workers", 1, "-p", f"risk_runs:={RUNS}")
     known = skd_here(capsys, "assess", *ours, "--out", tmp_path / "exact")

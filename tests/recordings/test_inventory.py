@@ -94,28 +94,24 @@ def test_results_of_incomplete_recordings_follow_from_what_there_was(logs, sent,
         assert list(read_result(done.path).remarks) == own
 
 
-@pytest.fixture(scope="module")
-def probe(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("logs") / "probe"
-    arguments = ("--multiplier", 0.75, "--episodes", 24, "--workers", 1)
-    assert run_skd("probe", *arguments, "--out", folder) == 0
+@pytest.fixture(
+    scope="module",
+    params=[
+        ("probe", "--multiplier", 0.75, "--episodes", 24),
+        ("assess", "--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 6, "--simulations", 40),
+    ],
+    ids=["probe", "assessed"],
+)
+def made(request, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("logs") / "made"
+    assert run_skd(*request.param, "--workers", 1, "--out", folder) == 0
+    (folder / MANIFEST).unlink()  # as whoever changes a file on purpose removes it
     return folder
 
 
-@pytest.fixture(scope="module")
-def assessed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("logs") / "assessed"
-    size = ("--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 6, "--simulations", 40, "--workers", 1)
-    assert run_skd("assess", *size, "--out", folder) == 0
-    return folder
-
-
-@pytest.fixture(params=["probe", "assessed"])
-def copy(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A copy whose manifest is gone, as whoever changes a file on purpose removes it."""
-    made = Path(shutil.copytree(request.getfixturevalue(request.param), tmp_path / "copy"))
-    (made / MANIFEST).unlink()
-    return made
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copy"))
 
 
 def test_what_is_not_credible_is_so_for_who_learns_from_it(copy, tmp_path, capsys):

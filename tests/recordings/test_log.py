@@ -38,10 +38,6 @@ def straight(times: np.ndarray) -> np.ndarray:
     return placed(0.0 * times, SPEED * times)
 
 
-def turning(times: np.ndarray) -> np.ndarray:
-    return placed(0.04 * np.maximum(times - 2.0, 0.0) ** 3, SPEED * times)
-
-
 def standing(times: np.ndarray) -> np.ndarray:
     return placed(0.0 * times, 1.5 * np.maximum(times - 3.0, 0.0) ** 2 + 10.0)
 
@@ -101,7 +97,7 @@ def with_hole(one: Track) -> Track:
 @pytest.mark.parametrize(
     ("users", "car", "reason"),
     [
-        ([track("p", crossing())], turning, "the car turns"),
+        ([track("p", crossing())], lambda t: placed(0.04 * np.maximum(t - 2.0, 0.0) ** 3, SPEED * t), "the car turns"),
         ([track("p", crossing()), track("q", crossing(0.3, -1.0))], straight, "several conflicts at once"),
         ([with_hole(track("p", crossing()))], straight, "is not tracked for more than 0.5 s"),
         ([track("p", lambda times: placed(14.0 * (times - MEETS), SPEED * MEETS + 0.0 * times))], straight, "14.0 m/s"),
@@ -209,19 +205,8 @@ def test_a_car_of_a_file_is_searched_for_and_exported_with_the_whole_path(
     car = "class Never:\n    def reset(self, *_): pass\n    def command(self, *_): return 0.0\n"
     Path("never.py").write_text(car, encoding="utf-8")
     written(tmp_path / "drive.csv", crossing(1.4))
-    words = [
-        "--controller",
-        "never.py:Never",
-        "--margin-limit",
-        "16",
-        "--export",
-        "1",
-        "--workers",
-        "1",
-        "--out",
-        "out",
-    ]
-    assert main(["log", "drive.csv", *words]) == 0
+    words = ["--controller", "never.py:Never", "--margin-limit", "16", "--export", "1", "--workers", "1"]
+    assert main(["log", "drive.csv", *words, "--out", "out"]) == 0
     assert "at most 0.2" in capsys.readouterr().out  # from 0.25 m beyond the side of the car that passes
     (cell,) = read_campaign(tmp_path / "out" / "campaign.yaml")
     assert cell.values["controller"] == f"{tmp_path}/never.py:Never"

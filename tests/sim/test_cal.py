@@ -30,15 +30,14 @@ def answering(logit: float) -> HazardNetwork:
     return HazardNetwork(*zeros, np.array([logit]))
 
 
+def world_of(scenario, start, gap):
+    rngs = {"start_rng": np.random.default_rng(1), "car_rng": np.random.default_rng(2)}
+    return World(scenario, adversary_start=start, gap=gap, **rngs)
+
+
 def drive(controller, scenario, adversary, ticks, gap):
     """Run a car against an adversary that keeps its velocity, to the end or to a collision."""
-    world = World(
-        scenario,
-        adversary_start=adversary[:2],
-        gap=gap,
-        start_rng=np.random.default_rng(1),
-        car_rng=np.random.default_rng(2),
-    )
+    world = world_of(scenario, adversary[:2], gap)
     laser = PlanarLaser(scenario, 0, 0)
     controller.reset(scenario, RNG)
     states = [world.car]
@@ -104,13 +103,7 @@ def test_it_decides_twenty_times_a_second():
     for gap in np.arange(16.0, 20.0, 0.5):
         controller = CalController()
         controller.reset(QUIET, RNG)
-        world = World(
-            QUIET,
-            adversary_start=(0.0, 0.0),
-            gap=float(gap),
-            start_rng=np.random.default_rng(1),
-            car_rng=np.random.default_rng(2),
-        )
+        world = world_of(QUIET, (0.0, 0.0), float(gap))
         laser = PlanarLaser(QUIET, 0, 0)
         while controller.state == CalState.CRUISING and world.tick < 10:
             begun = world.period
@@ -125,15 +118,11 @@ PLAIN = load_scenario("crossing")
 FRESH_SEED = 20_240_607  # of no training
 
 
-def scene(car: CarState, adversary: AdversaryState, *obstacles: Obstacle) -> tuple[PlanarLaser, CarState]:
-    assert PLAIN.sensor is not None
-    perfect = replace(PLAIN.sensor, range_noise=0.0, dropout=0.0)
-    return PlanarLaser(replace(PLAIN, sensor=perfect, obstacles=obstacles), 0, 0), car
-
-
 def test_objects_are_parted_and_measured():
     car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
-    laser, _ = scene(car, AdversaryState(0, 0, 0, 0), Obstacle(3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
+    perfect = replace(PLAIN.sensor, range_noise=0.0, dropout=0.0)
+    parked = Obstacle(3.5, -2.0, HEADING_NORTH, 4.0, 1.8)
+    laser = PlanarLaser(replace(PLAIN, sensor=perfect, obstacles=(parked,)), 0, 0)
     scan = laser.scan(car, AdversaryState(-1.0, 0.0, 0.0, 0.0), 0)
     objects = segment(scan.ranges, scan.angle_min, scan.angle_increment, GAP)
     assert len(objects) == 2

@@ -113,22 +113,8 @@ COORDINATES = st.floats(-1e3, 1e3)
 PLACEMENTS = st.builds(Placement, COORDINATES, COORDINATES, st.floats(-7.0, 7.0))
 
 
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """x, y, z, w of a rotation about z, then y, then x, by multiplying the three quaternions."""
-
-    def multiply(p: Any, q: Any) -> Any:
-        a, b = np.array(p[:3]), np.array(q[:3])
-        return (*(p[3] * b + q[3] * a + np.cross(a, b)), p[3] * q[3] - a @ b)
-
-    about = [
-        (*(math.sin(0.5 * angle) * np.eye(3)[axis]), math.cos(0.5 * angle))
-        for axis, angle in ((2, yaw), (1, pitch), (0, roll))
-    ]
-    return multiply(multiply(about[0], about[1]), about[2])
-
-
-def odometry(x: float, y: float, turn: tuple[float, float, float], vx: float, vy: float) -> Any:
-    orientation = SimpleNamespace(**dict(zip("xyzw", quaternion(*turn), strict=True)))
+def odometry(x: float, y: float, yaw: float, vx: float, vy: float) -> Any:
+    orientation = SimpleNamespace(x=0.0, y=0.0, z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw))
     return SimpleNamespace(
         pose=SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=0.4), orientation=orientation)),
         twist=SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=vx, y=vy, z=0.0))),
@@ -148,9 +134,9 @@ def test_there_and_back(placement: Placement, x: float, y: float, heading: float
 def test_the_twist_of_a_walker_is_in_its_own_axes() -> None:
     """One who faces South in the map and goes ahead goes East in a crossing whose x axis points South."""
     placement = Placement(100.0, 50.0, -math.pi / 2)
-    walker = adversary_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, -math.pi / 2), 2.5, 0.0), placement)
+    walker = adversary_from_odometry(odometry(100.0, 49.0, -math.pi / 2, 2.5, 0.0), placement)
     assert walker == pytest.approx((1.0, 0.0, 2.5, 0.0, 0.0), abs=1e-12)
-    sideways = adversary_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, 0.0), 2.5, 0.0), placement)
+    sideways = adversary_from_odometry(odometry(100.0, 49.0, 0.0, 2.5, 0.0), placement)
     assert sideways == pytest.approx(AdversaryState(1.0, 0.0, 0.0, 2.5), abs=1e-12)
 
 

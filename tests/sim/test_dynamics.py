@@ -51,11 +51,6 @@ FULL = -BASE.car.brake_limit
 DRY_60_MPH = 106.0 * FOOT
 
 
-def mean_deceleration(speed: float, distance: float) -> float:
-    """v²/2d, m/s²."""
-    return speed * speed / (2.0 * distance)
-
-
 def scenario(friction: float = 1.0, **changes: Any) -> Scenario:
     """The shipped scenario without noise, with other values."""
     car = replace(BASE.car, **{"acceleration_noise": 0.0, **changes})
@@ -88,7 +83,7 @@ def established_distance(friction: float, speed: float) -> float:
 def test_dry_stopping_distance_is_the_published_one() -> None:
     assert established_distance(1.0, 60.0 * MPH) == pytest.approx(DRY_60_MPH, rel=0.1)
     # At the friction limit the deceleration hardly depends on the speed, so the distance goes with its square.
-    published = START**2 / (2.0 * mean_deceleration(60.0 * MPH, DRY_60_MPH))
+    published = DRY_60_MPH * (START / (60.0 * MPH)) ** 2
     assert established_distance(1.0, START) == pytest.approx(published, rel=0.1)
 
 

@@ -8,14 +8,10 @@ from hypothesis import strategies as st
 from shapely import affinity
 from skd_sim.world.contact import NO_CONTACT, first_contact, first_contact_of_boxes, rectangle_distance, to_car_frame
 
-FRONT, REAR, HALF_WIDTH, RADIUS = 2.25, 1.75, 0.9, 0.25
+FRONT, REAR, HALF_WIDTH = 2.25, 1.75, 0.9
 # In micrometres: shapely's distance to a segment of 1e-180 m is infinite.
 coordinate = st.integers(-8 * 10**6, 8 * 10**6).map(lambda micrometres: 1e-6 * micrometres)
 length = st.floats(0.05, 5.0)
-
-
-def _contact(start: tuple[float, float], end: tuple[float, float], radius: float = RADIUS) -> float:
-    return float(first_contact(*start, *end, FRONT, REAR, HALF_WIDTH, radius))
 
 
 @given(
@@ -44,7 +40,7 @@ def test_distance_to_the_footprint_in_the_world(ahead, left, front, rear, half_w
 @given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), radius=length)
 def test_first_contact_against_dense_samples(start, end, radius):
     """Distance is 1-Lipschitz in the position: samples bound the first contact from both sides."""
-    fraction = _contact(start, end, radius)
+    fraction = float(first_contact(*start, *end, FRONT, REAR, HALF_WIDTH, radius))
     s = np.linspace(0.0, 1.0, 4001)
     points = np.outer(1.0 - s, start) + np.outer(s, end)
     polygon = shapely.box(-REAR, -HALF_WIDTH, FRONT, HALF_WIDTH)
@@ -68,11 +64,6 @@ def test_first_contact_against_dense_samples(start, end, radius):
         assert distances.min() <= radius + spacing
 
 
-def _boxes(start, end, turned, half_length, half_width):
-    footprint = (FRONT, REAR, HALF_WIDTH)
-    return float(first_contact_of_boxes(*start, *end, turned, *footprint, half_length, half_width))
-
-
 @settings(max_examples=200)  # the first call compiles
 @given(
     start=st.tuples(coordinate, coordinate),
@@ -91,7 +82,8 @@ def test_first_contact_of_boxes_against_polygons(start, end, turned, half_length
     def at(s: float) -> shapely.Polygon:
         return affinity.translate(other, *((1.0 - s) * np.array(start) + s * np.array(end)))
 
-    fraction = _boxes(start, end, turned, half_length, half_width)
+    footprint = (FRONT, REAR, HALF_WIDTH)
+    fraction = float(first_contact_of_boxes(*start, *end, turned, *footprint, half_length, half_width))
     swept = shapely.MultiPolygon([at(0.0), at(1.0)]).convex_hull
     if fraction == NO_CONTACT:
         assert swept.intersection(car).area < 1e-6

@@ -22,28 +22,12 @@ CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step
 
 
-def _scenario(*, minimum_impact_speed: float = 0.0, start_gap_range: float = 0.0) -> Scenario:
-    car = replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0, start_gap_range=start_gap_range)
-    collision = replace(CROSSING.collision, minimum_impact_speed=minimum_impact_speed)
-    return replace(CROSSING, car=car, collision=collision)
-
-
-def _world(scenario: Scenario, gap: float, start: tuple[float, float] = (0.0, 0.0), seed: int = 0) -> World:
-    return World(
-        scenario,
-        adversary_start=start,
-        gap=gap,
-        start_rng=np.random.default_rng([seed, 0]),
-        car_rng=np.random.default_rng([seed, 1]),
-    )
-
-
 @pytest.mark.parametrize("acceleration", [0.0, -3.5, 2.0])
 def test_impact_in_closed_form(acceleration: float) -> None:
     """A standing adversary is hit where the front has come within the radius."""
-    scenario = _scenario()
-    gap = 1.5
-    world = _world(scenario, gap)
+    quiet = {"speed_noise": 0.0, "acceleration_noise": 0.0, "start_gap_range": 0.0}
+    scenario, gap = car(CROSSING, **quiet), 1.5
+    world = make(scenario, adversary_start=(0.0, 0.0), gap=gap)
     before = world.car.speed
     contact = world.step(acceleration, (0.0, 0.0))
     after = before + STEP * acceleration
