@@ -124,7 +124,7 @@ def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
     assert [line.partition(",")[0] for line in done.stdout.splitlines()] == [
         "time 0.0 s",
         "time 1.2 s",
-        "time is over; 4 ticks",
+        "no collision until the time limit; 4 ticks",
     ]
     one_line(skd_here("drive", "--safe", "good.csv", "--safe-number", "1"), 2, "--safe-number 1", "1 safe")
     one_line(skd_here("drive", "--ticks", "1", "--safe-number", "1"), 2, "--safe-number 1", "add --safe")

@@ -48,7 +48,7 @@ def test_what_can_never_start_is_not_started_again_and_again(tmp_path: Path, pro
     said: list[str] = []
     with Supervisor({"driver": Program([sys.executable, "-c", program], environment)}, tmp_path, said.append) as one:
         problems = []
-        with pytest.raises(GraphError, match=re.escape(f"for the 2. time; its last words: {words}")):
+        with pytest.raises(GraphError, match=re.escape(f"2 times; the last line of its log: {words}")):
             wait_until(lambda: problems.extend(filter(None, [one.check()])), "an end")
         with pytest.raises(GraphError):  # a later stage of the campaign does not wait for what does not run
             one.check()

@@ -350,6 +350,8 @@ def parameters_of(arguments: argparse.Namespace) -> dict[str, Any]:
         name, assigned, value = text.partition(":=")
         if not assigned:
             raise UsageError(f"-p {text}: must be NAME:=VALUE")
+        if "." in name:
+            raise UsageError(f"-p {name}: no option has a dot; keys of a scenario stand in its file (--scenario FILE)")
         found |= _read({name: parse_yaml(value, f"-p {name}")}, f"-p {name}", arguments)
     return found
 

@@ -294,4 +294,4 @@ def _check_the_same(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
         raise UsageError(f"--resume: {what}; {advice}, or begin anew with --overwrite")
     if new:
         more = f" and {len(new) - 1} more" if len(new) > 1 else ""
-        say("assess", f"--resume: new since then, and taken for no part of the car: {new[0]}{more}")
+        say("assess", f"--resume: new since then, and not taken for a part of the car: {new[0]}{more}")

@@ -212,6 +212,6 @@ def limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
             if not low <= value <= high:
                 span = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
                 share = ", where 0.05 is 5 %" if high == 1.0 else ""
-                raise UsageError(f"{condition}: this figure is {span}{share}; it is never beyond that limit, or always")
+                raise UsageError(f"{condition}: this figure is {span}{share}; such a limit decides nothing")
             limits.append(Limit(name, value, is_least=side == "below"))
     return tuple(limits)

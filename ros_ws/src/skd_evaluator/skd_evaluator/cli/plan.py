@@ -83,7 +83,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             what, goal = "the difference in ", f"a difference of {arguments.difference}"
         of_what = f"{what}{arguments.figure.replace('_', ' ')}"
         print(f"{source.text}, for {goal}{unit}.")
-        print(f"Standard deviation of {of_what}: {between**0.5:.3f}{unit} between φ, {within**0.5:.3f}{unit} on one.")
+        print(f"Standard deviation of {of_what}: {between**0.5:.3f}{unit} between φ, {within**0.5:.3f}{unit} on one φ.")
         print_table(_table(sizes, cheapest))
         print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
 
@@ -150,5 +150,5 @@ def _table(sizes: Sequence[Size], cheapest: Size) -> Table:
         cells = (str(size.trials), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
         rows.append([f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells])
     return narrow_table(
-        "Each row suffices", ("trials\non each φ", "φ", "episodes", "width of\ninterval", "power"), rows
+        "Each of these sizes is enough", ("trials\non each φ", "φ", "episodes", "width of\ninterval", "power"), rows
     )

@@ -192,6 +192,9 @@ class Margins:
         return impact_figures(self.impact_speeds)
 
 
+SEARCH_ON = "give a larger --margin-limit; the search ends sooner if it converges"
+
+
 def stopped_at(figures: Mapping[str, Any]) -> str:
     """Return, of a search that has not converged, where it stopped, from the content of assessment.json."""
     return f"had not converged at {figures['margin_budget']} candidates a trial"

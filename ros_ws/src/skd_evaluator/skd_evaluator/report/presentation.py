@@ -18,7 +18,7 @@ def episode_line(log: EpisodeLog) -> str:
     """Return how an episode ended, in a few words."""
     impact, name = "", log.outcome.name.lower()
     if log.outcome == Outcome.TIMEOUT:
-        name = "time is over"
+        name = "no collision until the time limit"
     elif log.outcome == Outcome.COLLISION:
         impact = f" after {log.impact_time:.2f} s at {log.impact_speed:.2f} m/s"
     return f"{name}{impact}; {len(log.adversary) - 1} ticks"

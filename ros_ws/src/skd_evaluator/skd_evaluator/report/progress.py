@@ -20,7 +20,7 @@ LINE_EVERY = 60.0
 """s between two lines of a step where there is no terminal."""
 SILENT = 5.0
 """s before the first line: what is done by then needs none."""
-COMPILING = "compiling what a car of this kind needs, once: a minute or two"
+COMPILING = "compiling for this kind of car: up to two minutes, kept for later runs"
 
 
 @contextmanager

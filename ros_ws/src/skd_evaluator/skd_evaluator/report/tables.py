@@ -34,7 +34,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     """
     order = f"By {_RANKED[ranked_by]}, the safest car last" if ranked_by else "In the order given"
     if ranked_by and any(map(does_not_get_past, rows)):
-        order = f"Cars that are often stuck first; then by {_RANKED[ranked_by]}, the safest last"
+        order = f"Cars that are often stuck first, the others by {_RANKED[ranked_by]}, the safest last"
     if ranked_by:  # who does not get past people is never the first
         rows = sorted(rows, key=lambda one: (not does_not_get_past(one), float(one[ranked_by])))
     heads = ["car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "time\nlost (s)"]
@@ -69,7 +69,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
             figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _number(found["interval"])]
             figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
-        verdict = ": ".join(filter(None, (f"[bold]{_short(entry)}[/]", entry["reason"])))
+        verdict = f"[bold]{_short(entry)}[/]" + (f" ({entry['reason']})" if entry["reason"] else "")
         cells.append([escape(entry["car"]), verdict, *figures, entry["design"]])
     return narrow_table(f"Compared with {escape(first)}; all intervals together hold with 95 %", heads, cells)
 

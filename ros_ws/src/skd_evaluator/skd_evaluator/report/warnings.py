@@ -15,7 +15,7 @@ from skd_sim.world.episode import counted_reasons
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
-from skd_evaluator.metrics.margins import GAP_WARNING, stopped_at
+from skd_evaluator.metrics.margins import GAP_WARNING, SEARCH_ON, stopped_at
 from skd_evaluator.report.formats import counted
 
 Result = Mapping[str, Any]
@@ -68,7 +68,7 @@ def _of_margin(result: Result) -> Iterator[str]:
         return
     trials, beyond, close = result["margin_trials"], result["margin_beyond"], result["optimality_gap"]
     if not result["margin_converged"]:
-        yield f"the search for the margin {stopped_at(result)}: the margin may be less; give a larger --margin-limit"
+        yield f"the search for the margin {stopped_at(result)}: the margin may be less; {SEARCH_ON}"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
         yield f"{PLANNED} {close:.2f} times the margin: judge the car by its margin, not by planned deviation or SKD"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)

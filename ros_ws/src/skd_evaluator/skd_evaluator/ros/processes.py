@@ -291,7 +291,7 @@ class Supervisor:
                 hint = ""
                 if lacks and not is_sourced(process.program.environment):
                     hint = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
-                process.given_up = f"{problem}, for the {process.restarts}. time; its last words: {last[-1]}{hint}"
+                process.given_up = f"{problem}, {process.restarts} times; the last line of its log: {last[-1]}{hint}"
                 raise GraphError(process.given_up)
             process.start()
         return " and ".join(problems) or None

@@ -38,7 +38,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP, Better, Of, shown_
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.clustered import clustered_rate
 from skd_evaluator.metrics.difference import Difference, difference
-from skd_evaluator.metrics.margins import CONVERGED_WITHIN, stopped_at
+from skd_evaluator.metrics.margins import CONVERGED_WITHIN, SEARCH_ON, stopped_at
 from skd_evaluator.metrics.price_of_caution import price_differences, stored_price
 from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
@@ -151,7 +151,7 @@ class Comparison:
         rows = (
             (self.disagree, "margin and planned deviation disagree"),
             (len(set(self._sure.values())) == 2, f"{'margin and risk' if MARGIN in self._sure else 'risks'} disagree"),
-            (self.bounded is not None, "a margin is an upper bound"),
+            (self.bounded is not None, 'a margin is "at most"'),
             (bool(self.opposed), f"{_labels(self.opposed)} points the other way"),
             (self.harder * self.by_figures > 0.0, "its impacts are harder"),
         )
@@ -393,11 +393,11 @@ def _of_the_judge(held: Comparison) -> list[str]:
                 said = f"the margin of {one.folder} is at most {mean(np.concatenate(one.groups[MARGIN])):.3f} m"
                 why = f"its search {stopped_at(one.figures)}"
                 if one is held.bounded and held.verdict == INCONCLUSIVE:
-                    said, why = f"inconclusive: {said}", "and may be the smaller one: give a larger --margin-limit"
+                    why = f"and may be less: {SEARCH_ON}"
                 found.append(f"{said}, {why}")
         if _unlike_budgets(*both):
             budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
-            allowed = f"the interval allows {100 * CONVERGED_WITHIN:g} % for that"
+            allowed = f"the interval is wider by {100 * CONVERGED_WITHIN:g} % for that"
             found.append(f"the margins were searched with {budgets} candidates a trial: {allowed}")
         tracks = [one.figures["margin_how"] or "" for one in both]
         if tracks[0] != tracks[1]:

@@ -11,7 +11,7 @@ from skd_evaluator.assessment.compare.comparison import LESS_SAFE, MARGIN, NOT_C
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import at_worst
-from skd_evaluator.metrics.margins import UPPER_BOUNDS, stopped_at
+from skd_evaluator.metrics.margins import SEARCH_ON, UPPER_BOUNDS, stopped_at
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def bound_of(result: Mapping[str, Any], name: str) -> Bound | None:
     what = "an upper bound" if less else "a lower bound"
     return Bound(
         0.0 if less else math.inf,
-        f"the search for the margin {stopped_at(result)}, so this is {what}: give a larger --margin-limit",
+        f"the search for the margin {stopped_at(result)}, so this is {what}: {SEARCH_ON}",
     )
 
 
@@ -108,6 +108,7 @@ def _check_limit(result: Mapping[str, Any], limit: Limit) -> Check:
         return Check(name, f"{limit.name} is not defined, so it cannot be held against {limit.value:g}", error=True)
     beyond = not limit.is_kept_by(value)
     side = "below" if value < limit.value else "above" if value > limit.value else "at"
+    value = value if abs(value) > 1e-9 else 0.0  # as a sum of rounding errors is
     text = f"{limit.name} is {value:.3g}, {side} {limit.value:g}"
     text = text if f"{value:.3g}" != f"{limit.value:.3g}" else f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
     if bound is not None and not beyond and not limit.is_kept_by(bound.beyond):

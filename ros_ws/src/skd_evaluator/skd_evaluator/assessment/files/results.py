@@ -162,6 +162,7 @@ def read_result(folder: Path) -> StoredResult:
         UsageError: it is none, was changed since it was written, has neither a margin nor a trial, or its trajectories
             give another margin, deviation or number of φ than it says.
     """
+    check_folder(folder)
     figures, episodes, assessment, remarks = read_checked(folder)
     curve = vulnerability_curve(assessment.for_deviation.trial_deviations, assessment.plan.scenario.eta_max)
     if curve is None and assessment.margins is None:

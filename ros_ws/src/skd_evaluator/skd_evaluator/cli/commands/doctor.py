@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     elif broken:
         say("doctor", f"{', '.join(broken)}: see above")
     else:
-        print("All that SKD needs is there. What begins with -- is for what stands behind it alone.")
+        print("All that SKD needs is there. Lines with -- are optional.")
     return 1 if broken else 0
 
 
