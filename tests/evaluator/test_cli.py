@@ -84,7 +84,7 @@ def test_user_controller_is_assessed(here):
     low, high = result["skd_ci95_pairs"]  # the table shows these very figures
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("SKD (m)")]
     assert f"[{low:.3f}, {high:.3f}]" in line
-    assert f"{100 * result['kamikaze_success_rate']:.1f} % of trials collide" in line
+    assert f"{100 * result['kamikaze_success_rate']:.1f} % of kamikazes collide" in line
 
 
 def test_no_kamikaze_found(here):

@@ -16,6 +16,7 @@ from skd_evaluator.assessment.from_options import plan_of, scenario_for
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.report.formats import how_unusual
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import RESOLUTION, pack, read_subjects, unpack
 from skd_evaluator.report.repeat import repeat_command
@@ -207,6 +208,11 @@ def test_a_page_that_would_be_too_large_keeps_its_figures(subjects, monkeypatch)
     there = [one["path"] is not None for one in content["episodes"]]
     assert there == sorted(there, reverse=True)
     assert 0 < sum(there) < len(there)
+
+
+@pytest.mark.parametrize(("people", "said"), [(1e-9, "almost nobody differs"), (4e-4, "1 in 2,500 people differ")])
+def test_how_few_people_are_more_unusual(people, said):
+    assert how_unusual(people) == f"{said} more from the average"
 
 
 def test_what_a_name_says_is_no_code():

@@ -64,15 +64,20 @@ def test_figures_are_drawn(opened, subjects, file):
 
 
 def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, subjects, tmp_path):
-    (tmp_path / "page.html").write_text(page.render(subjects[:1]), encoding="utf-8")
-    one = open_page(browser, tmp_path / "page.html", 1280)
+    (tmp_path / "page.html").write_text(page.render(subjects[1:]), encoding="utf-8")
+    one, deadlock = open_page(browser, tmp_path / "page.html", 1280), subjects[1].figures["deadlock"]
+    assert deadlock > 0.0
+    assert f"{100 * deadlock:.1f} % never pass" in one.text(".tiles")
     for place in ("#verdict", "#view svg", "#play", "#hits svg"):
         box = one.page.locator(place).bounding_box()
         assert box["y"] + box["height"] <= 900, place
     assert re.search(r"Safety margin \d\.\d\d m \[\d\.\d\d, \d\.\d\d\]", one.text("#verdict"))
-    episodes = subjects[0].episodes
-    worst = int(episodes.worst_first()[0])
-    assert "Hit by the car's" in one.text("#place")
+    episodes = subjects[1].episodes
+    worst, least = int(episodes.worst_first()[0]), min(hit.distance for of in episodes.margin_hits for hit in of if hit)
+    assert one.text("#playing").startswith("The worst episode of planned kamikazes and runs along φ: ")
+    assert f"The least deviation of the margin is {least:.2f} m, on synthetic/" in one.text("#place")
+    assert "in contact" in one.text("#state")
+    assert [one.text(f"{place} text >> nth=0") for place in ("#view", "#hits")] == ["North →"] * 2
     assert f"at {episodes.impact_speed[worst]:.1f} m/s, {episodes.impact_time[worst]:.2f} s after" in one.text("#place")
     assert one.count("#hits .end:not(.least)") == episodes.hit.sum()
     assert one.count("#hits .end.least") == sum(hit is not None for hits in episodes.margin_hits for hit in hits)

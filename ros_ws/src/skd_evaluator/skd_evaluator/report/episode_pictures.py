@@ -133,6 +133,7 @@ DEVIATIONS = 2.0
 
 
 _DPI = 110
+_TIMES = 0.05  # of the view, above it: room for a time there
 _BESIDE = 2.0  # m that are shown beside everything
 _AFTER = 1.0  # s of a way that are shown after the unbraked car is there
 _SCENARIO_LANE = 150.0  # m of the lane that are drawn to each side of the crossing
@@ -373,7 +374,8 @@ def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     """Return what the picture shows: x from and to, y from and to, m."""
     cars = np.concatenate([outline_of(shown.scenario, pose) for pose in shown.car[:, :3]])
     left, right, low, high = extent_of(shown.phi, shown.adversary, cars, beside=0.8)
-    return left, right, max(low, high - _MOST) if shown.scenario.road.straight else low, high
+    low = max(low, high - _MOST) if shown.scenario.road.straight else low
+    return left, right, low, high + _TIMES * (high - low)
 
 
 def check_format(name: str) -> None:

@@ -183,16 +183,16 @@ class KeptFailure:
     @property
     def likely(self) -> str:
         """How likely such deviations are, in words."""
-        return f"{how_many(self.people)} differ more from the average"
+        return how_unusual(self.people)
 
 
-def how_many(people: float) -> str:
-    """Return a share of people in words."""
-    if people < 5e-4:
-        return f"1 in {1.0 / people:,.0f} people" if people > 1e-9 else "almost nobody"
-    if people > 0.995:
-        return "nearly all people"
-    return f"{percent(people, 0 if people >= 0.01 else 1)} of people"
+def how_unusual(people: float) -> str:
+    """Return in words which share of people differ more from the average than somebody does."""
+    if people <= 1e-4:
+        return "almost nobody differs more from the average"
+    some = f"{percent(people, 0 if people >= 0.01 else 1)} of people"
+    some = f"1 in {1.0 / people:,.0f} people" if people < 5e-4 else some
+    return f"{'nearly all people' if people > 0.995 else some} differ more from the average"
 
 
 def kept_failures(figures: Mapping[str, Any]) -> list[KeptFailure]:

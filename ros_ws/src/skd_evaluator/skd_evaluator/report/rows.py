@@ -26,6 +26,7 @@ class FigureRow:
         clustered: 95 % interval of the figure by φ, as text.
         plain: 95 % interval that takes trials, pairs or runs as independent of one another, as text.
         basis: how many trials, pairs or runs the figure is of, as text.
+        note: what to know of the value beside its interval, as text.
         main: whether the figure is one of those that are read first.
         alert: whether a warning is about the figure.
     """
@@ -35,6 +36,7 @@ class FigureRow:
     clustered: str = formats.NOTHING
     plain: str = formats.NOTHING
     basis: str = ""
+    note: str = ""
     main: bool = False
     alert: bool = False
 
@@ -59,16 +61,16 @@ def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> Iterator[Fi
     ranking = _ranking(figures)
     phis = formats.counted(len(figures["per_safe_trajectory"]), "φ")
     speed, model, close = figures["impact_speed"], figures.get("adversary_model"), figures["optimality_gap"]
-    trials, pairs = formats.counted(ranking["trials"], "trial"), formats.counted(figures["pairs"], "pair")
+    kamikazes, pairs = formats.counted(ranking["trials"], "kamikaze"), formats.counted(figures["pairs"], "pair")
     failed = f"{ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
     basis = {
         "margin": _margin_basis(figures),
         "equivalent_multiplier": _equivalent_basis(figures),
         "nominal_collision_rate": f"{formats.counted(figures['collision_runs'], 'run')} over {phis}, along φ",
         "impact_speed": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else "",
-        "deviation": f"{f'adversary model: {model}; ' if model else ''}{trials} over {phis}; {failed}",
+        "deviation": f"{f'adversary model: {model}; ' if model else ''}{kamikazes} over {phis}; {failed}",
         "optimality_gap": "planned kamikazes needed so many times the margin",
-        "skd": f"{style.share(figures['kamikaze_success_rate'])} of trials collide; {pairs} over {phis}",
+        "skd": f"{style.share(figures['kamikaze_success_rate'])} of kamikazes collide; {pairs} over {phis}",
     }
     if risk := figures.get("risk"):
         people = f"behaviour model {risk['behaviour']['name']}"
@@ -82,6 +84,7 @@ def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> Iterator[Fi
             "plain": _equivalent_interval(style, figures, THESE_PHI),
         },
         "optimality_gap": {"alert": close is not None and close > GAP_WARNING},
+        "time_lost": {"note": f"{style.share(figures['deadlock'])} never pass" if figures["deadlock"] else ""},
     }
     if figures["skd"] is None:
         special["skd"] = {"value": "none kept" if figures["discarded_by_distance"] else "no kamikaze found"}
@@ -145,7 +148,7 @@ def _planned_details(figures: Mapping[str, Any], style: formats.Style) -> Iterat
         name = "planned deviation of those that were hit alone (m)"
         yield FigureRow(name, style.number(figures["deviation_of_successes"]))
     for name, found in figures["objectives"].items():
-        hit = f"{found['trials'] - found['failed']} of {formats.counted(found['trials'], 'trial')}"
+        hit = f"{found['trials'] - found['failed']} of {formats.counted(found['trials'], 'kamikaze')}"
         basis = f"{hit} {'were hit' if found['plans_deviation'] else 'collided'}"
         basis += _walked_into(found["standing_contacts"])
         rate, by_phi, plain = (style.share(found.get(f"success_rate{end}")) for end in ("", "_ci95", "_ci95_trials"))

@@ -148,7 +148,7 @@ def details_table(result: Mapping[str, Any]) -> Table:
         )
         rows.append([name, str(found["hits"]), "", "", of])
         for one in found["kinds"]:
-            nearest = f" the most usual: {formats.how_many(one['nearest'][0]['people'])} differ more from the average"
+            nearest = f" the least unusual: {formats.how_unusual(one['nearest'][0]['people'])}"
             rows.append([f"  {escape(one['kind'])}", _percent(one["share"]), "", "", nearest])
     if result["discarded_by_distance"]:
         rows.append(["discarded by distance", str(result["discarded_by_distance"])])

@@ -20,8 +20,6 @@ from skd_evaluator.report.formats import counted
 
 Result = Mapping[str, Any]
 """Content of assessment.json."""
-PLANNED = "planned kamikazes needed"
-"""How the warning about planned figures begins."""
 _FEWEST = 10
 """Trials below which optimality gap, or a quantile of impacts, says little."""
 _JUST_ABOVE = 0.25
@@ -70,7 +68,8 @@ def _of_margin(result: Result) -> Iterator[str]:
     if not result["margin_converged"]:
         yield f"the search for the margin {stopped_at(result)}: the margin may be less; {SEARCH_ON}"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
-        yield f"{PLANNED} {close:.2f} times the margin: judge the car by its margin, not by planned deviation or SKD"
+        rather = "judge the car by its margin, not by planned deviation or SKD"
+        yield f"planned kamikazes needed {close:.2f} times the margin: {rather}"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
     if impact and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE and trials - beyond >= _FEWEST:
         speeds = f"at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s"
@@ -144,16 +143,19 @@ def with_failures(assessment: Assessment, maximum_aborted: float) -> Assessment:
     return replace(assessment, warnings=(*assessment.warnings, *(line for line in found if line)))
 
 
-def warnings_of(assessment: Assessment, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
+def warnings_of(
+    assessment: Assessment, *, planned: bool = True, said: Collection[str] = (), result: Result | None = None
+) -> list[str]:
     """Return what a reader should know that is no failure.
 
     Args:
         assessment: the assessment with its figures.
         planned: see `figure_warnings`.
         said: lines that were printed already.
+        result: content of its assessment.json, where it is known.
     """
     own = [line for line in assessment.warnings if line not in {*not_credible(assessment.warnings), *said}]
-    return [*own, *figure_warnings(assessment.as_dict(), planned=planned), *_hits_of_others(assessment)]
+    return [*own, *figure_warnings(result or assessment.as_dict(), planned=planned), *_hits_of_others(assessment)]
 
 
 def _hits_of_others(assessment: Assessment) -> list[str]:

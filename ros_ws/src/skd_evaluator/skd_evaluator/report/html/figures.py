@@ -10,9 +10,9 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.report import formats
+from skd_evaluator.report import warnings as of_assessments
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 from skd_evaluator.report.terminal import credibility, headline
-from skd_evaluator.report.warnings import figure_warnings
 
 _FEW = 3
 """Most pairs of cars that a sentence names."""
@@ -31,7 +31,7 @@ def sentences_of(subject: Subject) -> list[str]:
     figures, ranking = subject.figures, subject.ranking
     if state_of(subject) == "failed":
         aborted = figures["aborted"]
-        why = f"{formats.counted(aborted, 'episode')} were aborted" if aborted else "no trial ran"
+        why = f"{formats.counted(aborted, 'episode')} were aborted" if aborted else "none was planned"
         return [f"This is no rating: no kamikaze ran to its end ({why}). It says nothing about the car."]
     first = headline(figures, named=False)  # it stands above
     if figures["deviation"] is None:
@@ -39,23 +39,24 @@ def sentences_of(subject: Subject) -> list[str]:
     adversary_model = figures.get("adversary_model")
     known = f" (adversary model: {adversary_model})" if adversary_model else ""
     hit = ranking["trials"] - ranking["failed"]
-    needed = f"needed {formats.number(figures['deviation'], 2, 'm')} on average"
-    planned = f"Planned kamikazes{known} {needed}; {hit} of {formats.counted(ranking['trials'], 'trial')} were hit"
-    counts = f"; one that was not counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
-    return [first, f"{planned}{counts}."]
+    enough = ranking["failed"] and hit == figures["margin_trials"]
+    until = f" until {hit} were hit" if enough else f"; {hit} of them were hit"
+    planned = f"{formats.counted(ranking['trials'], 'kamikaze')}{known} were planned{until}"
+    counts = f"; one that was not hit counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
+    return [first, f"{planned}. They needed {formats.number(figures['deviation'], 2, 'm')} on average{counts}."]
 
 
 def warnings_of(subject: Subject) -> list[str]:
     """Return what a reader should know before believing the figures, a line each."""
     figures = subject.figures
-    found = figure_warnings(figures)
+    found = [*figures["warnings"], *of_assessments.warnings_of(subject.assessment, result=figures)]
     for kind, reasons in figures["aborted_reasons"].items():
         first = f", the first one so: {reasons['first']}" if reasons.get("first") else ""
         found.append(f"{formats.counted(reasons['count'], 'episode')} aborted ({kind}){first}; they count in no figure")
     found += [f"measure {one['label']} failed: {one['error']}" for one in figures["measures"].values() if one["error"]]
     if far := figures["discarded_by_distance"]:
         found.append(f"{formats.counted(far, 'pair')} discarded, above the maximum distance")
-    found += [*(f"left out: {line}" for line in figures["left_out"]), *aborted_lines(figures), *figures["warnings"]]
+    found += [*(f"left out: {line}" for line in figures["left_out"]), *aborted_lines(figures)]
     return list(dict.fromkeys(map(str, found)))
 
 

@@ -3,6 +3,7 @@ const RATE = 0.5; // of real time
 const HIGHEST = 460; // px of a picture, as in style.css
 const DEVIATIONS = 2; // standard deviations of a belief that are shown to each side: about 95 %
 const MOST = 10; // s, m/s²: longer times to collision and what no tyres have are drawn as this
+const TYRES = 9.81; // m/s², where the table's required deceleration ends
 const CHART = { width: 620, height: 240, left: 44, right: 10, top: 34, bottom: 34 };
 
 class Player {
@@ -22,15 +23,16 @@ class Player {
     this.episode = episode;
     this.course = episode.course;
     const several = this.data.subjects.length > 1 ? `${episode.owner.label}: ` : "";
-    const worst = episode.number === 0 && episode.failure === undefined ? "The worst episode: " : "";
+    const worst = episode.number === 0 && episode.failure === undefined ? "The worst episode of planned kamikazes and runs along φ: " : "";
     this.playing.textContent = `${worst}${several}${episode.safe.name}, ${episode.name}, ${episode.outcome}`;
-    this.place.textContent = where(episode, this.course);
+    this.place.textContent = where(episode, this.course) + (worst && leastOfMargin(episode.owner));
     this.command.textContent = episode.command;
     const there = this.course !== null;
     const believes = there && this.course.belief !== null;
     for (const one of document.querySelectorAll(".of-belief")) one.hidden = !believes;
     for (const control of [this.time, this.play]) control.disabled = !there;
-    drawHits(this.data, episode);
+    if (there) this.drawScene();
+    drawHits(this.data, episode, there && this.picture.turned);
     if (!there) {
       this.view.replaceChildren(html("p", { className: "note", textContent: "The trajectory of this episode is not in this file; episodes.npz of the result folder has it." }));
       for (const one of [this.distances, this.surrogates]) one.replaceChildren();
@@ -38,7 +40,6 @@ class Player {
       return;
     }
     this.time.max = this.course.times.at(-1);
-    this.drawScene();
     this.drawCharts();
     this.set(this.course.times.at(-1));
   }
@@ -51,6 +52,7 @@ class Player {
     area[0] = Math.min(area[0], -3.5);
     area[2] = Math.max(area[2], 3.5) + 0.8; // room for the scale
     const turned = area[3] - area[1] > area[2] - area[0];
+    if (turned) area[1] -= 1; // and for its numbers beside the car at the start
     const picture = (this.picture = new Picture(area, scene, "The episode seen from above", turned));
     picture.road();
     picture.line(course.carX, course.carY, "ghost");
@@ -142,7 +144,7 @@ class Player {
     this.time.value = time;
     this.now = time;
     this.clock.textContent = `${fixed(time, 2)} of ${fixed(this.course.times.at(-1), 2)} s`;
-    this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then\n${soon(now)}${believed(now.belief)}`;
+    this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then\n${this.episode.touched && time >= this.course.times.at(-1) ? "in contact" : soon(now)}${believed(now.belief)}`;
   }
 
   // Where the kamikaze believes the car's front to be: a band along the lane, and its middle.
@@ -190,9 +192,15 @@ function where(episode, course) {
   return `${verb} by the car's ${side} at ${figures}, at x\u00a0=\u00a0${fixed(x, 1)}\u00a0m, y\u00a0=\u00a0${fixed(y, 1)}\u00a0m.`;
 }
 
+// The headline is a mean over the margin's trials: the least of them.
+function leastOfMargin({ least, scene }) {
+  const [one] = least.flatMap((of, phi) => of.map(({ deviation }) => ({ deviation, phi }))).sort((a, b) => a.deviation - b.deviation);
+  return one ? ` The least deviation of the margin is ${fixed(one.deviation, 2)} m, on ${scene.safe[one.phi].name} (map under Each φ).` : "";
+}
+
 function soon({ collision, braking }) {
   if (collision === Infinity) return "they would pass each other if both went on so";
-  return `time to collision ${fixed(collision, 1)} s · required deceleration ${braking > MOST ? `above ${MOST}` : fixed(braking, 1)} m/s²`;
+  return `time to collision ${fixed(collision, 1)} s · required deceleration ${braking > TYRES ? `above ${TYRES}` : fixed(braking, 1)} m/s²`;
 }
 
 function believed(belief) {

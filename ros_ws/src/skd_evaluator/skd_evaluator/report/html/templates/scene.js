@@ -51,10 +51,10 @@ class Picture {
   scale(step, size = (14 * this.wide) / (this.turned ? 36 : 9)) { // about as large in wide pictures as in narrow ones
     const [across, up] = this.turned ? [[this.y0, this.y1], [this.x0, this.x1]] : [[this.x0, this.x1], [this.y0, this.y1]];
     const bottom = SCALE * this.high;
-    if (this.turned) this.add(this.text(0.8 * size, 1.3 * size, "North →", size));
+    this.add(this.text(0.8 * size, 1.3 * size, this.turned ? "North →" : "North ↑", size));
     for (const value of steps(...up, step)) {
       const v = this.turned ? this.at(value, 0)[1] : this.at(0, value)[1];
-      if (v > bottom - 2.5 * size || v < (this.turned ? 2.4 : 1) * size) continue;
+      if (v > bottom - 2.5 * size || v < 2.4 * size) continue;
       this.add(element("line", { x1: 0, x2: 0.6 * size, y1: v, y2: v, class: "tick" }), this.text(0.8 * size, v + 0.35 * size, value, size));
     }
     for (const value of steps(...across, step)) {
