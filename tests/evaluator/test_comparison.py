@@ -196,7 +196,7 @@ def test_a_car_whose_margin_is_an_upper_bound_is_never_the_safer_one() -> None:
     for pair in ((known, bound), (bound, known)):
         found = compare(*pair)
         assert (found.verdict, found.votes["margin"]) == (INCONCLUSIVE, 0)
-        assert found.reason == 'a margin is "at most"'
+        assert found.reason == "upper bound"
         (line,) = found.lines()
         assert line.startswith("the margin of b is at most 2.3")
     least = result("c", values(1, shift=-0.5), **OPEN)

@@ -86,7 +86,7 @@ def test_one_line_says_that_a_bound_withholds_the_verdict(results):
     first, second = results["A"], results["B"]
     second = replace(second, figures={**second.figures, "margin_converged": False, "margin_budget": 512})
     found = compare(first, second)
-    assert (found.verdict, found.reason) == (INCONCLUSIVE, 'a margin is "at most"')
+    assert (found.verdict, found.reason) == (INCONCLUSIVE, "upper bound")
     assert [line for line in found.lines() if "may be less" in line or "differ" in line] == [found.lines()[0]]
     assert f"the margin of {second.folder} is at most" in found.lines()[0]
     assert compare(second, first).verdict == INCONCLUSIVE

@@ -151,7 +151,7 @@ class Comparison:
         rows = (
             (self.disagree, "margin and planned deviation disagree"),
             (len(set(self._sure.values())) == 2, f"{'margin and risk' if MARGIN in self._sure else 'risks'} disagree"),
-            (self.bounded is not None, 'a margin is "at most"'),
+            (self.bounded is not None, "upper bound"),
             (bool(self.opposed), f"{_labels(self.opposed)} points the other way"),
             (self.harder * self.by_figures > 0.0, "its impacts are harder"),
         )
