@@ -1,5 +1,6 @@
 """What tests of several folders share: patience, DDS domains of their own, and `skd` in the tests' own process."""
 
+import contextlib
 import io
 import os
 import random
@@ -15,6 +16,7 @@ from typing import Any
 
 import jsonschema
 import numpy as np
+from forked_skd import TOKEN
 
 PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
@@ -64,6 +66,18 @@ def is_alive(process: object) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in ("Z", "X")
     except OSError:
         return False
+
+
+def pids_with(token: str) -> dict[int, str]:
+    """Command lines, by pid, of the living processes whose environment holds a token."""
+    wanted = f"{TOKEN}={token}".encode()
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal() and int(entry.name) != os.getpid():
+            with contextlib.suppress(OSError):
+                if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
 
 
 def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:

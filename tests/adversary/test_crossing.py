@@ -255,9 +255,7 @@ DRAWS = 4000
 
 def adversary(scenario: Scenario, controller: str) -> PlanningAdversary:
     episode = EpisodeSpec(scenario, Mode.KAMIKAZE, 3, 1, controller=controller, safe_trajectory=ACROSS, simulations=1)
-    made = make_adversary(episode)
-    assert isinstance(made, PlanningAdversary)
-    return made
+    return make_adversary(episode)
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,15 @@ import signal
 import subprocess
 import sys
 import time
+import uuid
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd, skd_from_nothing, started
-from common import PATIENCE, wait_until
+from common import PATIENCE, pids_with, wait_until
+from forked_skd import TOKEN
 from skd_evaluator.files import PREFIX
 from skd_sim.world.episode import Mode, Outcome
 
@@ -129,27 +131,6 @@ def test_sweep(here):
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
 
 
-def _living() -> dict[int, int]:
-    parents = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if fields[0] != "Z":
-            parents[int(stat.parent.name)] = int(fields[1])
-    return parents
-
-
-def _family(head: int) -> set[int]:
-    """Return a living process and all that descend from it, in whatever group or session."""
-    parents = _living()
-    found = {head} & parents.keys()
-    while more := {pid for pid, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found
-
-
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize(
     ("name", "number", "to_all", "processes"),
@@ -169,20 +150,24 @@ def test_interrupted(here, name, number, to_all, processes):
         "--kamikaze-count", "100000", "--adversary-model", "generic", "--controller", name,
         "--out", "../out", "--overwrite",
     ]  # fmt: skip
-    variables = {**os.environ, "PYTHONPATH": str(here), "PYTHONDONTWRITEBYTECODE": "1"}
+    variables = {
+        **os.environ,
+        "PYTHONPATH": str(here),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        TOKEN: (token := uuid.uuid4().hex),
+    }
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, cwd=here / "work", env=variables, start_new_session=True, **piped)
     try:
-        wait_until(lambda: len(_family(process.pid)) >= processes or process.poll() is not None)
+        wait_until(lambda: len(pids_with(token)) >= processes or process.poll() is not None)
         time.sleep(0.5)
         assert process.poll() is None, process.communicate()
-        family = _family(process.pid)
         (os.killpg if to_all else os.kill)(process.pid, number)
         process.wait(PATIENCE)
-        wait_until(lambda: not family & _living().keys())
+        wait_until(lambda: not pids_with(token))
         printed = process.communicate()
     finally:
-        for member in _family(process.pid):
+        for member in pids_with(token):
             os.kill(member, signal.SIGKILL)
     if number != signal.SIGKILL:
         (said,) = [line for line in printed[1].splitlines() if not line.startswith("skd: ")]
@@ -203,18 +188,18 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
         CONTROLLERS + counting + "        open('/dev/shm/' + os.environ['N'], 'a').write('x')\n"
     )
     counted = Path("/dev/shm") / f"skd-{here.name}-{os.getpid()}"
-    command = ["assess", *SMALL, "--kamikaze-count", "1000", "--safe", "good.csv", "--adversary-model", "generic"]
+    command = ["assess", *SMALL, "--kamikaze-count", "300", "--safe", "good.csv", "--adversary-model", "generic"]
     command += ["--controller", "./my_cars.py:Counts", "--out", "out", "--margin-limit", "0"]
     try:
         process = started(*command, cwd=here, N=counted.name)
-        wait_until(lambda: (counted.exists() and counted.stat().st_size > 300) or process.has_ended())
+        wait_until(lambda: (counted.exists() and counted.stat().st_size > 60) or process.has_ended())
         os.kill(process.pid, signal.SIGINT)
         done = process.finish(PATIENCE)
         assert done.returncode == 130
         (line,) = [line for line in done.stderr.splitlines() if not line.startswith("skd: ")]
         said = r"interrupted; (\d+) episodes kept in out\.unfinished\.sqlite; .*; go on with: skd assess --resume out$"
         kept = int(re.search(said, line)[1])
-        assert kept > 100
+        assert kept > 20
         one_line(skd(*command, cwd=here, N=counted.name), 2, "was interrupted; --resume goes on with it")
         changed = skd("assess", "--resume", "out", "--seed", "5", cwd=here, N=counted.name)
         one_line(changed, 2, "--seed was 0 and is now 5; leave it out")

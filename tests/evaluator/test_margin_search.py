@@ -353,7 +353,7 @@ def test_along_the_lane_the_search_finds_the_exact_margin():
 
 
 def test_from_the_hits_of_an_earlier_version_the_same_margin_takes_a_quarter():
-    trials, car = episodes(1.0, 12), Driver(Delayed())
+    trials, car = episodes(1.0, 6), Driver(Delayed())
     whole = search_margins(trials, {}, car.rounds, IN_PROCESS._replace(limit=256))
     hits = [prescribed(one, hit.safe_trajectory.positions) for one, hit in zip(trials, whole.episodes, strict=True)]
     logs = {log.episode.episode_id: log for log in car.run(hits)}

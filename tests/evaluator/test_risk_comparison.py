@@ -2,8 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,7 +24,6 @@ from skd_evaluator.metrics.difference import Difference
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
 from skd_evaluator.risk.crossings import AnyCar, CrossingPlan, end_of
-from skd_sim.controllers.protocol import Controller
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
@@ -183,10 +182,10 @@ def in_the_way(scenario: Scenario) -> Scenario:
     return replace(scenario, others=(Other(kind="pedestrian", radius=0.25, way=way),))
 
 
-def crossings(
-    scenario: Scenario, scale: float, runs: int, make: Callable[[], Controller] | None, multiplier: float = 1.0
-) -> list[tuple[EpisodeLog, Seen | None]]:
+@cache
+def crossings(case: str, scale: float = 1.0, runs: int = 100) -> list[tuple[EpisodeLog, Seen | None]]:
     """Crossings of a risk, each with what was seen in it."""
+    scenario, make, multiplier = CASES[case]
     period = make().control_period if make else None  # type: ignore[attr-defined]
     plan = Plan(
         replace(scenario, control_period=period), safe_count=3, kamikaze_count=2, collision_runs=8, seed=5,
@@ -214,9 +213,8 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_every_hit_that_the_world_reports_is_counted_and_no_other(case):
-    scenario, make, multiplier = CASES[case]
     found = Counter()
-    for log, seen in crossings(scenario, 2.0, 150, make, multiplier):
+    for log, seen in crossings(case, 2.0, 150):
         assert (seen is not None) == (log.outcome == Outcome.COLLISION)
         touch, missed = end_of(log)
         assert (missed == 0.0) == (touch == Touch.FRONT)
@@ -231,9 +229,8 @@ def test_every_hit_that_the_world_reports_is_counted_and_no_other(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_car_is_found_where_it_was_at_the_contact(case):
-    scenario, make, multiplier = CASES[case]
-    most = 0.008 if "tyres" in case else 0.004
-    for log, seen in crossings(scenario, 1.0, 100, make, multiplier):
+    scenario, most = CASES[case][0], 0.008 if "tyres" in case else 0.004
+    for log, seen in crossings(case):
         if seen is None:
             continue
         (x, y, heading), share = car_at_contact(log)
@@ -253,8 +250,7 @@ def test_the_car_is_found_where_it_was_at_the_contact(case):
 
 @pytest.mark.parametrize("case", ["twenty times a second", "at the last moment", "tyres", "tyres, often"])
 def test_closing_speed_delta_v_and_fatality_are_those_at_the_contact(case):
-    scenario, make, multiplier = CASES[case]
-    pairs = [(log, seen) for log, seen in crossings(scenario, 1.0, 100, make, multiplier) if seen is not None]
+    pairs = [(log, seen) for log, seen in crossings(case) if seen is not None]
     logs = [log for log, _ in pairs]
     values = surrogates_of(logs[0].episode.scenario, [(log, "") for log in logs]).values
     for row, (log, seen) in enumerate(pairs):

@@ -66,7 +66,6 @@ def xosc(folder: Path, board: str, *, about: str = "own", parameters: str = "") 
 
 def track(path: Path, name: str | None = "Walker") -> Track:
     (source,) = read_sources([path], ImportRequest(name))
-    assert isinstance(source.found, Track)
     return source.found
 
 
@@ -263,7 +262,6 @@ def test_a_trace_of_osi_is_read_as_its_mcap_is(tmp_path: Path):
     cut.write_bytes((tmp_path / "a.osi").read_bytes()[:-7])
     damage = Damage(skip=True)
     (source,) = read_sources([cut], ImportRequest("9"), damage)
-    assert isinstance(source.found, Track)
     assert (len(source.found.times), "cut short" in damage.lines[0]) == (40, True)
     (tmp_path / "a.txt").write_text("no scenario")
     with pytest.raises(UsageError, match=r"is of no format that is read; files end in \.xosc"):

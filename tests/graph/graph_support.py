@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from common import PATIENCE, assert_same_episodes, new_domain, run_skd, wait_until
+from common import PATIENCE, assert_same_episodes, new_domain, pids_with, run_skd, wait_until
 from forked_skd import TOKEN, ForkedSkd
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.report.progress import COMPILING
@@ -40,18 +40,6 @@ class Campaign:
     @property
     def bags(self) -> Path:
         return self.graph / "bags"
-
-
-def pids_with(token: str) -> dict[int, str]:
-    """Command lines, by pid, of the living processes whose environment holds a token."""
-    wanted = f"{TOKEN}={token}".encode()
-    found = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdecimal() and int(entry.name) != os.getpid():
-            with contextlib.suppress(OSError):
-                if wanted in (entry / "environ").read_bytes().split(b"\0"):
-                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-    return found
 
 
 def of_node(token: str, name: str) -> int:
