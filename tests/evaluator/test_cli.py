@@ -216,7 +216,7 @@ def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
         before = counted.stat().st_size
         done = skd("assess", "--resume", "out", "--json", cwd=here, N=counted.name)
         assert done.returncode == 0, done.stderr
-        assert f"taken for no part of the car: {here}/notes.py\n" in done.stderr  # nor is the file of kept episodes
+        assert f"not taken for a part of the car: {here}/notes.py\n" in done.stderr  # nor is the file of kept episodes
         resumed, run = json.loads(done.stdout), counted.stat().st_size - before
         assert resumed["provenance"]["command"] == shlex.join(["skd", *map(str, command)])
         assert not list(here.glob(f"{PREFIX}*"))

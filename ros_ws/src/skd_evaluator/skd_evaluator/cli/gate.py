@@ -40,7 +40,7 @@ def figure_limit(text: str) -> tuple[str, float]:
 def add_limits(parser: argparse.ArgumentParser) -> Any:
     """Add the limits of figures beyond which the exit code is 1; return their group."""
     group = parser.add_argument_group("gate")
-    for side, example in (("below", "margin=0.8"), ("above", "contact_rate=0.05")):
+    for side, example in (("below", "margin=0.8"), ("above", "nominal_collision_rate=0.05")):
         text = f"exit with 1 if this figure of assessment.json is {side} the number, as {example}. Can be repeated"
         limit: dict[str, Any] = {"type": figure_limit, "action": "append", "default": [], "metavar": "FIGURE=NUMBER"}
         group.add_argument(f"--fail-{side}", help=text, **limit)

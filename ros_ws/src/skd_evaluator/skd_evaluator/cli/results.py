@@ -57,12 +57,10 @@ def print_result(
     if len(checks) > 1 and checks[0].error and not failures:
         failures.append(f"gate: nothing can be said of the car: {checks[0].text}")
     for one in checks[1:]:  # the first is of the failures above
-        said = f"gate: {one.name}: {one.state}, {one.text}"
-        if not one.passed:
-            failures += [said, *(f"gate: {line}" for line in one.remarks)]
-        elif not arguments.json:
-            print(said)
-            warn(arguments.command, one.remarks)
+        if not arguments.json:
+            print(f"gate: {one.name}: {one.state}, {one.text}", *one.remarks, sep="\n  ")
+    if unmet := [one.name for one in checks[1:] if not one.passed]:
+        failures.append(f"gate: {len(unmet)} of {len(checks) - 1} conditions not met: {', '.join(unmet)}")
     if unwritten := gate.write(result, checks):
         failures.append(unwritten)
     say(arguments.command, *failures)

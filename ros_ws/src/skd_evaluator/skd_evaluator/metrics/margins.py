@@ -192,7 +192,7 @@ class Margins:
         return impact_figures(self.impact_speeds)
 
 
-SEARCH_ON = "give a larger --margin-limit; the search ends sooner if it converges"
+SEARCH_ON = "double --margin-limit (default 512); the search ends sooner if it converges"
 
 
 def stopped_at(figures: Mapping[str, Any]) -> str:

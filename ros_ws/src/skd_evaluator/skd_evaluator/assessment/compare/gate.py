@@ -7,7 +7,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from skd_evaluator.assessment.compare.comparison import LESS_SAFE, MARGIN, NOT_COMPARED, RISKS, Comparison, compare
+from skd_evaluator.assessment.compare.comparison import (
+    INCONCLUSIVE,
+    LESS_SAFE,
+    MARGIN,
+    NOT_COMPARED,
+    RISKS,
+    Comparison,
+    compare,
+)
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import at_worst
@@ -148,6 +156,7 @@ def not_worse(mine: StoredResult, earlier: StoredResult, remarks: Iterable[str] 
     low, high = held.interval
     by_how_much = f"{held.value:+.3f}" if judge in RISKS else f"{held.value:+.3f} m"
     said = f"{found.verdict} ({found.reason})" if found.reason else found.verdict
+    said = said.replace(INCONCLUSIVE, "no clear difference")
     said = said if not failed or said.startswith(LESS_SAFE) else "worse"
     text = f"{said}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}"
     if not failed and (why := _at_most(found) or _may_be_behind(earlier, mine)):

@@ -275,7 +275,8 @@ class _Search:
         weights = np.where(margins > np.quantile(margins, 1.0 - share), times, 1.0)
         for trial, weight in zip(self._trials, weights / weights.mean(), strict=True):
             trial.goal = DEEPER * budget if trial.episode.episode_id in deeper else int(weight * budget)
-        what = f"{DEEPER * budget} candidates in {len(deeper)} trials" if deeper else f"{budget} candidates a trial"
+        checked = f"{len(deeper)} trials checked with {DEEPER * budget} candidates each"
+        what = checked if deeper else f"{budget} candidates a trial"
         what = what if budget else "trajectories of the other car"
         self._groups = self._rounds(self._groups, what)
         reasons = [reason for group in self._groups for reason in group.reasons]
