@@ -17,7 +17,7 @@ from skd_evaluator.cli.output import print_json, say, warn
 from skd_evaluator.metrics.margins import reference_text
 from skd_evaluator.report import terminal
 from skd_evaluator.report.formats import counted
-from skd_evaluator.report.warnings import most_frequent, warnings_of, why_failed
+from skd_evaluator.report.warnings import PLANNED, most_frequent, warnings_of, why_failed
 from skd_evaluator.ros.processes import log_of
 
 _SHOWN = 10
@@ -51,7 +51,8 @@ def print_result(
         seconds = f"{result['seconds']:.1f} s"
         more = "" if arguments.details else "; --details prints every figure, SKD among them"
         print(seconds if problem else f"{seconds}; results in {out.path}{more}")
-    warn(arguments.command, warnings_of(assessment, said=said))
+    shown = arguments.details or arguments.json  # planned figures
+    warn(arguments.command, [one for one in warnings_of(assessment, said=said) if shown or not one.startswith(PLANNED)])
     failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted, result)]
     checks = gate.checks(result, None if problem else out.path, failures)
     if len(checks) > 1 and checks[0].error and not failures:

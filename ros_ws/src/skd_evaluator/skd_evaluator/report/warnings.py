@@ -60,6 +60,10 @@ def contact_warnings(result: Result) -> list[str]:
     return [f"{which} {alone}; SKD's counts"]
 
 
+PLANNED = "planned kamikazes needed"
+"""How the warning about planned figures begins, which is of use only where these are shown."""
+
+
 def _of_margin(result: Result) -> Iterator[str]:
     """Yield what is to be known of the margin and of the planned figures beside it; nothing where it is not known."""
     if result["margin"] is None:
@@ -69,7 +73,7 @@ def _of_margin(result: Result) -> Iterator[str]:
         yield f"the search for the margin {stopped_at(result)}: the margin may be less; {SEARCH_ON}"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
         rather = "judge the car by its margin, not by planned deviation or SKD"
-        yield f"planned kamikazes needed {close:.2f} times the margin: {rather}"
+        yield f"{PLANNED} {close:.2f} times the margin: {rather}"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
     if impact and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE and trials - beyond >= _FEWEST:
         speeds = f"at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s"
