@@ -52,6 +52,14 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StoredResult]
     return found
 
 
+@pytest.mark.parametrize("name", ["risk_1", "risk_2", "risk_3"])
+def test_a_car_is_as_safe_as_itself_with_fewer_crossings(results, name):
+    one = results["A"]
+    fewer = tuple(group[: len(group) // 3] for group in one.groups[name])
+    found = compare(one, replace(one, groups={**one.groups, name: fewer})).differences[name]
+    assert found.interval == (0.0, 0.0)
+
+
 def test_margin_and_risk_agree(results):
     found = compare(results["A"], results["B"])
     assert found.verdict == SAFER

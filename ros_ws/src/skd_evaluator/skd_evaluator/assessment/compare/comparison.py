@@ -264,10 +264,10 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
             f"{len(first.safe)} and {len(second.safe)}"
         )
     left_out = _left_out(first, second, planned=not unlike)
+    same = paired and first.figures["seed"] == second.figures["seed"]
     found = {
         name: difference(
-            _of(first, name, ours),
-            _of(second, name, theirs),
+            *_values(name, (first, ours), (second, theirs), same=same),
             paired=paired,
             # All scales of the risk together err no more often than the margin.
             confidence=1.0 - (1.0 - confidence) / len(RISKS) if name in RISKS else confidence,
@@ -282,7 +282,6 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
     prices = price_differences(first.figures, second.figures, confidence)
     price = prices.pop("late", None)
     speeds = [_of(one, IMPACT, rows) if IMPACT in one.groups else [] for one, rows in ((first, ours), (second, theirs))]
-    same = paired and first.figures["seed"] == second.figures["seed"]
     more, less = harder(*speeds, same=same), harder(*speeds[::-1], same=same)
     held = Comparison(
         first, second, differences | prices, (len(ours), len(theirs)), (), unlike, (), price, more or -less
@@ -423,6 +422,20 @@ def _of_the_judge(held: Comparison) -> list[str]:
 
 def _of(result: StoredResult, name: str, rows: Sequence[int]) -> list[FloatArray]:
     return [result.groups[name][row] for row in rows]
+
+
+def _values(
+    name: str, *sides: tuple[StoredResult, Sequence[int]], same: bool
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return the values of both cars: of a risk the crossings alone that both have, so that a car is as safe as itself.
+
+    What subset simulation estimates is no crossing, and stays.
+    """
+    first, second = (_of(one, name, rows) for one, rows in sides)
+    if same and name in RISKS and all(np.isin(group, (0.0, 1.0)).all() for group in (*first, *second)):
+        counts = [min(len(one), len(other)) for one, other in zip(first, second, strict=True)]
+        first, second = ([one[:count] for one, count in zip(side, counts, strict=True)] for side in (first, second))
+    return first, second
 
 
 def ranking_figure(results: Sequence[StoredResult]) -> str | None:
