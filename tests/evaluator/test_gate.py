@@ -159,7 +159,7 @@ def test_the_command_line_decides(skd_here, here, cars):
     assert "gate: objectives.paper.skd ≥ 0.1: passed" in passed
     assert "gate: margin_trials ≤ 0: failed" in failed
     assert "not compared" in error
-    assert "gate: 2 of 3 conditions not met: margin_trials ≤ 0, " in done.stderr
+    assert "gate: 2 of 3 conditions not passed: margin_trials ≤ 0, " in done.stderr
     assert (here / "out" / "assessment.json").exists()
     suite = ElementTree.parse(here / "j.xml").getroot()
     assert (suite.attrib["failures"], suite.attrib["errors"]) == ("1", "1")

@@ -61,7 +61,7 @@ def print_result(
         if not arguments.json:
             print(f"gate: {one.name}: {one.state}, {one.text}", *one.remarks, sep="\n  ")
     if unmet := [one.name for one in checks[1:] if not one.passed]:
-        failures.append(f"gate: {len(unmet)} of {len(checks) - 1} conditions not met: {', '.join(unmet)}")
+        failures.append(f"gate: {len(unmet)} of {len(checks) - 1} conditions not passed: {', '.join(unmet)}")
     if unwritten := gate.write(result, checks):
         failures.append(unwritten)
     say(arguments.command, *failures)

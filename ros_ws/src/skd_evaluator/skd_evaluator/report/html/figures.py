@@ -103,15 +103,16 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         for low, high in itertools.pairwise(ordered)
         if _overlap(low.figures[f"{key}_ci95"], high.figures[f"{key}_ci95"])
     ]
+    known = all(one.figures[f"{key}_ci95"] for one in members)
+    overlap = "overlap" if known else "are not known"
     text = f"Greatest {name}{which}: {last.label}, {_bounded(last, key)}; least: {first.label}, {_bounded(first, key)}."
+    if close and len(members) == 2:
+        text = f"The intervals of {name} {overlap}: skd compare says which car is safer."
     if out := [one.label for one in members if does_not_get_past(one.figures)]:
         text += f" Often stuck at harmless people: {', '.join(out)}."
-    known = all(one.figures[f"{key}_ci95"] for one in members)
-    if close and len(members) == 2:
-        text += f" Their intervals by φ {'overlap' if known else 'are not known'}: skd compare tells more."
-    elif close:
+    if close and len(members) > 2:
         named = "; ".join(close) if len(close) <= _FEW else f"{len(close)} pairs"
-        text += f" Intervals that {'overlap' if known else 'are not known'}: {named}. skd compare tells more."
+        text += f" Intervals that {overlap}: {named}. skd compare tells more."
     return text
 
 
