@@ -237,4 +237,4 @@ def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str
     for part in said:
         (line,) = [one for one in found if part in one]
         assert line in done.stderr
-        assert "deviation ≥ 0: error, not judged" in done.stderr
+        assert "gate: deviation ≥ 0: error, not judged" in done.stderr

@@ -37,6 +37,10 @@ def watcher(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
     rclpy.shutdown()
 
 
+UNHEARD = "ignore:failed to send response:RuntimeWarning"
+"""What rclpy says where a node answers before it has found who asks: `parameters_of` asks again."""
+
+
 @pytest.fixture
 def start(watcher: Node) -> Iterator[Start]:
     """Give what starts an executable of a package; none outlives the test."""
@@ -50,6 +54,7 @@ def start(watcher: Node) -> Iterator[Start]:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
+            env={**os.environ, "PYTHONWARNINGS": UNHEARD},
         )
         started.append(process)
         return process

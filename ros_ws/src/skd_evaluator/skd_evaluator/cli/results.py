@@ -58,8 +58,11 @@ def print_result(
     if len(checks) > 1 and checks[0].error and not failures:
         failures.append(f"gate: nothing can be said of the car: {checks[0].text}")
     for one in checks[1:]:  # the first is of the failures above
-        if not arguments.json:
-            print(f"gate: {one.name}: {one.state}, {one.text}", *one.remarks, sep="\n  ")
+        lines = [f"gate: {one.name}: {one.state}, {one.text}", *(f"  {line}" for line in one.remarks)]
+        if not (arguments.json or arguments.quiet):
+            print(*lines, sep="\n")
+        elif not one.passed:
+            failures += lines
     if unmet := [one.name for one in checks[1:] if not one.passed]:
         failures.append(f"gate: {len(unmet)} of {len(checks) - 1} conditions not passed: {', '.join(unmet)}")
     if unwritten := gate.write(result, checks):
