@@ -38,7 +38,7 @@ def watcher(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
 
 
 UNHEARD = "ignore:failed to send response:RuntimeWarning"
-"""What rclpy says where a node answers before it has found who asks: `parameters_of` asks again."""
+"""rclpy's warning of a node that answers before it has discovered the client: `parameters_of` then asks again."""
 
 
 @pytest.fixture

@@ -77,7 +77,7 @@ def on_common_trajectories(
         if before - after > _LOWERED:
             lines.append(
                 f"{one.folder}: trajectories that were found for {other.folder} lower its margin from {before:.3f} to "
-                f"{after:.3f} m, which is compared"
+                f"{after:.3f} m; the comparison uses that"
             )
     return found[0], found[1], tuple(lines)
 

@@ -192,7 +192,8 @@ class Margins:
         return impact_figures(self.impact_speeds)
 
 
-SEARCH_ON = "double --margin-limit (default 512); the search ends sooner if it converges"
+LONGER_SEARCH = "double --margin-limit (default 512); the search ends sooner if it converges"
+"""What to do about a search that has not converged."""
 
 
 def stopped_at(figures: Mapping[str, Any]) -> str:

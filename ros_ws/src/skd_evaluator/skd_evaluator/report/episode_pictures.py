@@ -133,7 +133,7 @@ DEVIATIONS = 2.0
 
 
 _DPI = 110
-_TIMES = 0.05  # of the view, above it: room for a time there
+_TIMES = 0.05  # share of the height that is added above it, so that the labels of times fit
 _BESIDE = 2.0  # m that are shown beside everything
 _AFTER = 1.0  # s of a way that are shown after the unbraked car is there
 _SCENARIO_LANE = 150.0  # m of the lane that are drawn to each side of the crossing

@@ -187,7 +187,7 @@ class KeptFailure:
 
 
 def how_unusual(people: float) -> str:
-    """Return in words which share of people differ more from the average than somebody does."""
+    """Return how unusual a walk is, in words, from the share of people who differ more from the average."""
     if people <= 1e-4:
         return "almost nobody differs more from the average"
     some = f"{percent(people, 0 if people >= 0.01 else 1)} of people"

@@ -15,11 +15,13 @@ from skd_sim.world.episode import counted_reasons
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
-from skd_evaluator.metrics.margins import GAP_WARNING, SEARCH_ON, stopped_at
+from skd_evaluator.metrics.margins import GAP_WARNING, LONGER_SEARCH, stopped_at
 from skd_evaluator.report.formats import counted
 
 Result = Mapping[str, Any]
 """Content of assessment.json."""
+PLANNED = "planned kamikazes needed"
+"""How the warning about planned figures begins, which is of use only where these are shown."""
 _FEWEST = 10
 """Trials below which optimality gap, or a quantile of impacts, says little."""
 _JUST_ABOVE = 0.25
@@ -60,17 +62,13 @@ def contact_warnings(result: Result) -> list[str]:
     return [f"{which} {alone}; SKD's counts"]
 
 
-PLANNED = "planned kamikazes needed"
-"""How the warning about planned figures begins, which is of use only where these are shown."""
-
-
 def _of_margin(result: Result) -> Iterator[str]:
     """Yield what is to be known of the margin and of the planned figures beside it; nothing where it is not known."""
     if result["margin"] is None:
         return
     trials, beyond, close = result["margin_trials"], result["margin_beyond"], result["optimality_gap"]
     if not result["margin_converged"]:
-        yield f"the search for the margin {stopped_at(result)}: the margin may be less; {SEARCH_ON}"
+        yield f"the search for the margin {stopped_at(result)}: the margin may be less; {LONGER_SEARCH}"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
         rather = "judge the car by its margin, not by planned deviation or SKD"
         yield f"{PLANNED} {close:.2f} times the margin: {rather}"

@@ -38,7 +38,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP, Better, Of, shown_
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.clustered import clustered_rate
 from skd_evaluator.metrics.difference import Difference, difference
-from skd_evaluator.metrics.margins import CONVERGED_WITHIN, SEARCH_ON, stopped_at
+from skd_evaluator.metrics.margins import CONVERGED_WITHIN, LONGER_SEARCH, stopped_at
 from skd_evaluator.metrics.price_of_caution import price_differences, stored_price
 from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
@@ -392,7 +392,7 @@ def _of_the_judge(held: Comparison) -> list[str]:
                 said = f"the margin of {one.folder} is at most {mean(np.concatenate(one.groups[MARGIN])):.3f} m"
                 why = f"its search {stopped_at(one.figures)}"
                 if one is held.bounded and held.verdict == INCONCLUSIVE:
-                    why = f"and may be less: {SEARCH_ON}"
+                    why = f"and may be less: {LONGER_SEARCH}"
                 found.append(f"{said}, {why}")
         if _unlike_budgets(*both):
             budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
@@ -427,9 +427,9 @@ def _of(result: StoredResult, name: str, rows: Sequence[int]) -> list[FloatArray
 def _values(
     name: str, *sides: tuple[StoredResult, Sequence[int]], same: bool
 ) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return the values of both cars: of a risk the crossings alone that both have, so that a car is as safe as itself.
+    """Return the values of both cars by φ: of a risk only the crossings that both have, so that they pair.
 
-    What subset simulation estimates is no crossing, and stays.
+    Estimates of subset simulation have no crossings to pair, and stay as they are.
     """
     first, second = (_of(one, name, rows) for one, rows in sides)
     if same and name in RISKS and all(np.isin(group, (0.0, 1.0)).all() for group in (*first, *second)):
