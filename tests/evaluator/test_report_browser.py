@@ -77,7 +77,7 @@ def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, 
     assert one.text("#playing").startswith("The worst episode of planned kamikazes and runs along φ: ")
     assert f"The least deviation of the margin is {least:.2f} m, on synthetic/" in one.text("#place")
     assert "in contact" in one.text("#state")
-    assert {one.page.locator(f"{place} text").first.text_content() for place in ("#view", "#hits")} == {"North →"}
+    assert {one.page.locator(f"{place} text").first.text_content() for place in ("#view", "#hits")} == {"x, East ↓"}
     speed, time = re.search(r"at (\S+) m/s, (\S+) s after", one.text("#place")).groups()
     assert float(speed) == pytest.approx(episodes.impact_speed[worst], abs=0.051)
     assert float(time) == pytest.approx(episodes.impact_time[worst], abs=0.0051)

@@ -362,10 +362,6 @@ def _of_the_risks(held: Comparison) -> list[str]:
         sure, unsure = ("better", "worse") if better else ("worse", "better")
         said = f"{sure} than {first} by {_labels(better or worse)}, but its {_labels(held.opposed)} looks {unsure}"
         return [f"inconclusive: {second} is {said}, if not significantly"]
-    judge = held.judged_by
-    if (better or worse) and judge is not None and not held.votes[judge]:
-        side, by = "better" if better else "worse", _labels(better or worse)
-        return [f"{second} is {side} than {first} by {by}; {AT_THE_TOP[judge].label} does not differ significantly"]
     return []
 
 

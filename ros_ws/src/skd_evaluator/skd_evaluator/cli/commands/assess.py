@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.cli.arguments import DETAILS, Parser, parameters_of, positive_number, rare
 from skd_evaluator.cli.gate import add_gate_arguments, gate_of
@@ -38,7 +39,7 @@ def add(parser: Parser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     gate = gate_of(arguments)
-    with gate.watch(arguments.controller):
+    with gate.watch(CarUnderTest(arguments.controller, arguments.multiplier, arguments.name).label):
         from skd_evaluator.cli.assessment import run_assessment  # it takes time to import
 
         return run_assessment(arguments, gate)

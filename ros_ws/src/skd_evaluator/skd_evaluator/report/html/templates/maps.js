@@ -24,7 +24,7 @@ function drawHits(data, episode, turned) {
     const { x, y } = episode.course;
     picture.disc(x.at(-1), y.at(-1), 0.3, "ring");
   }
-  picture.scale(1, 12 * picture.units(document.getElementById("hits").clientWidth || 380, 330));
+  picture.scale(12 * picture.units(document.getElementById("hits").clientWidth || 380, 330));
   document.getElementById("hits").replaceChildren(picture.svg);
   const times = mine.map((one) => one.time).sort((a, b) => a - b);
   document.getElementById("hits-caption").textContent = times.length
@@ -80,7 +80,7 @@ class Maps {
     }
     picture.line(phi.points.map((p) => p[0]), phi.points.map((p) => p[1]), "phi");
     for (const [x, y] of phi.points) picture.disc(x, y, 0.09, "dot");
-    picture.scale(2);
+    picture.scale();
     const beyond = margin ? all.filter((one) => one >= this.subject.etaMax).length : 0;
     const found = all.length - beyond;
     const few = courses.length < found ? `, the ${margin ? "least " : ""}${courses.length} drawn` : "";

@@ -61,7 +61,7 @@ class Player {
     picture.line(course.x, course.y, "psi bold");
     course.x.forEach((x, i) => picture.disc(x, course.y[i], 0.12, "tick-ring"));
     picture.car(course.carX[0], course.carY[0], course.heading[0], "ghost");
-    picture.scale(5, 12 * picture.units(this.view.clientWidth || CHART.width, HIGHEST));
+    picture.scale(12 * picture.units(this.view.clientWidth || CHART.width, HIGHEST));
     this.moving = picture.add(element("g"));
     this.view.replaceChildren(picture.svg);
   }

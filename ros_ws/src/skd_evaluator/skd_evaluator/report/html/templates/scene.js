@@ -47,11 +47,14 @@ class Picture {
   // Units of the picture in a pixel, where there are so many pixels for it.
   units(width, height) { return SCALE * Math.max(this.wide / width, this.high / height); }
 
-  // A scale along the left and the lower edge, every `step` m, with numbers of a size in units of the picture.
-  scale(step, size = (14 * this.wide) / (this.turned ? 36 : 9)) { // about as large in wide pictures as in narrow ones
+  // A scale along the left and the lower edge, with numbers of a size in units of the picture.
+  scale(size = (14 * this.wide) / (this.turned ? 36 : 9)) { // about as large in wide pictures as in narrow ones
     const [across, up] = this.turned ? [[this.y0, this.y1], [this.x0, this.x1]] : [[this.x0, this.x1], [this.y0, this.y1]];
-    const bottom = SCALE * this.high;
-    this.add(this.text(0.8 * size, 1.3 * size, this.turned ? "North →" : "North ↑", size));
+    const step = niceStep(Math.min(this.x1 - this.x0, this.y1 - this.y0) / 5);
+    const bottom = SCALE * this.high, right = SCALE * this.wide;
+    const names = this.turned ? ["x, East ↓", "y, North →"] : ["y, North ↑", "x, East →"];
+    this.add(this.text(0.8 * size, 1.3 * size, names[0], size));
+    this.add(this.text(right - 0.5 * size, 1.3 * size, names[1], size)).setAttribute("text-anchor", "end");
     for (const value of steps(...up, step)) {
       const v = this.turned ? this.at(value, 0)[1] : this.at(0, value)[1];
       if (v > bottom - 2.5 * size || v < 2.4 * size) continue;
@@ -59,7 +62,7 @@ class Picture {
     }
     for (const value of steps(...across, step)) {
       const u = this.turned ? this.at(0, value)[0] : this.at(value, 0)[0];
-      if (u < 3 * size || u > SCALE * this.wide - 2 * size) continue;
+      if (u < 3 * size || u > right - 2 * size) continue;
       this.add(element("line", { x1: u, x2: u, y1: bottom - 0.6 * size, y2: bottom, class: "tick" }), this.text(u + 0.3 * size, bottom - 0.3 * size, value, size));
     }
   }
