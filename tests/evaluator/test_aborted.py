@@ -29,11 +29,11 @@ _FIGURES = ("contact_rate", "nominal_collision_rate", "kamikaze_success_rate", "
 def rating(count: int, lost: Outcome = Outcome.ABORTED, mode: Mode = Mode.REPLAY, plan: Any = MANY) -> Assessment:
     """A car of which the first episodes on the first φ end so; kamikazes collide, and of others one in twenty."""
 
-    def decide(episode: EpisodeSpec) -> tuple[Outcome, int]:
+    def decide(episode: EpisodeSpec) -> Outcome:
         if episode.mode == mode and episode.safe_trajectory.name == "one" and trial(episode) < count:
-            return lost, 0
+            return lost
         hit = episode.mode == Mode.KAMIKAZE or trial(episode) == 19
-        return (Outcome.COLLISION if hit else Outcome.ARRIVED), 0
+        return Outcome.COLLISION if hit else Outcome.ARRIVED
 
     return assessed(decide, plan)
 
@@ -47,14 +47,14 @@ def test_each_figure_is_held_against_the_limit_on_its_own() -> None:
     """3 of 40 are too many, be they 3 of 140 in all; one of 10 is one."""
     found = rating(3)
     assert (len(found.reasons), found.episodes) == (3, 140)
-    assert (too_many_aborted(found.as_dict(), 0.05) or "").startswith(
-        "3 of 40 runs along φ were aborted, more than --max-abort"
-    )
+    silent = "no answer: the controller is silent"
+    said = "3 of 40 runs along φ were aborted, more than --max-aborted 5 %; 3 of all that were aborted: "
+    assert too_many_aborted(found.as_dict(), 0.05) == said + silent
     assert why_failed(found, 0.05)
     assert too_many_aborted(found.as_dict(), 0.08) is None
     one = rating(1, plan=replace(MANY, collision_runs=10))
     assert too_many_aborted(one.as_dict(), 0.05) is None
-    assert too_many_aborted(one.as_dict(), 0.0)
+    assert (too_many_aborted(one.as_dict(), 0.0) or "").endswith(f"--max-aborted 0 %; 1 of them: {silent}")
     kamikazes = rating(4, mode=Mode.KAMIKAZE, plan=replace(MANY, kamikaze_count=20, collision_runs=400))
     assert "4 of 44 kamikazes of objective paper were aborted" in (too_many_aborted(kamikazes.as_dict(), 0.05) or "")
     crossings = [Touch.NONE] * 17 + [Touch.ABORTED] * 2

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scipy.integrate import quad
 from skd_evaluator.metrics.clustered import GroupedMean
 from skd_evaluator.metrics.deviation import deviation, deviation_pairs, mean_deviation
 from skd_evaluator.metrics.frechet import discrete_frechet
@@ -105,23 +104,6 @@ def test_failed_trials_and_far_ones_count_as_eta_max() -> None:
 def test_without_a_trial_there_is_no_figure() -> None:
     for part in (*of([[], []], [0, 0]), *mean_deviation([], eta_max=5.0)):
         assert (part.mean, part.plain_interval, part.interval) == (None, None, None)
-
-
-@given(
-    st.lists(st.lists(st.floats(0.0, 9.0), max_size=6), min_size=1, max_size=4),
-    st.lists(st.integers(0, 4), min_size=4, max_size=4),
-    st.floats(0.1, 8.0),
-)
-def test_it_is_the_area_above_the_share_that_was_hit(distances, failed, eta_max):
-    every, hits = of(distances, failed[: len(distances)], eta_max)
-    if every.mean is None:
-        assert not every.values.size
-        return
-    needed = np.concatenate([hits.values, np.full(every.values.size - hits.values.size, np.inf)])
-    steps = sorted({float(one) for one in hits.values if one < eta_max})
-    area, _ = quad(lambda eta: 1.0 - np.mean(needed <= eta), 0.0, eta_max, points=steps or None, limit=200)
-    assert every.mean == pytest.approx(area, abs=1e-6)
-    assert 0.0 <= every.mean <= eta_max + 1e-12
 
 
 CROSSING = load_scenario("crossing")

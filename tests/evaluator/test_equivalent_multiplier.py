@@ -109,17 +109,3 @@ def test_the_curve_is_the_empirical_distribution_and_the_bound_is_above_it(group
     assert curve.bound(eta) >= curve.probability(eta).value - 1e-12
     assert curve.bound(eta) >= curve.cantelli(eta) - 1e-12
     assert curve.cantelli(eta) >= curve.probability(eta).value - 1e-12
-
-
-def test_what_json_holds_is_whole():
-    content = vulnerability_curve([[0.0, 1.0], [math.inf]], ETA_MAX).as_dict()
-    assert content["trials"] == 3
-    assert content["steps"] == {"eta": [0.0, 1.0], "probability": pytest.approx([1 / 3, 2 / 3])}
-    assert content["points"][0]["eta"] == 0.0
-    assert content["points"][0]["ci95_trials"] == wilson_interval(1, 3)
-    values = np.array([0.0, 1.0, ETA_MAX])  # Cantelli's and Theorem 1's bound at η = 1, from mean and variance alone
-    variance, far = values.var(ddof=1), values.mean() - 1.0
-    assert content["points"][10]["cantelli"] == pytest.approx(variance / (variance + far * far))
-    wider = (variance + 2.0 * values.mean()) / (variance + values.mean() ** 2)
-    assert content["points"][10]["bound"] == pytest.approx(min(1.0, wider))
-    assert [point["eta"] for point in content["points"]] == pytest.approx(np.arange(50) * 0.1)

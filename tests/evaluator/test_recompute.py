@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.results import write_assessment
+from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -57,7 +58,7 @@ OF_THE_CAR = (
 
 
 class SometimesAborts:
-    """A runner of which every fifth episode is lost."""
+    """A runner of which every fifth episode is lost, on its way or before it began: then no state of it is known."""
 
     def __init__(self, runner: InProcessRunner) -> None:
         self._runner = runner
@@ -67,7 +68,13 @@ class SometimesAborts:
         for log in self._runner.run(episodes):
             self._count += 1
             lost = abort_reason((AbortKind.ENDED, AbortKind.NO_ANSWER)[self._count % 2], "as a test wants it")
-            yield aborted(log.episode, lost) if self._count % 5 == 0 else replace(log, clipped=self._count % 3)
+            if self._count % 10 == 0:
+                yield aborted(log.episode, lost)
+            elif self._count % 5 == 0:
+                never = {"impact_time": math.nan, "impact_speed": math.nan}
+                yield replace(log, outcome=Outcome.ABORTED, reason=lost, **never)
+            else:
+                yield replace(log, clipped=self._count % 3)
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +175,10 @@ def test_the_scripts_give_every_figure(results, recomputed):
             assert again == pytest.approx(value, rel=1e-8, abs=1e-10), name
             compared.add(re.sub(r"\.\d+\.", ".", name))
     assert len(compared) > 300
+
+
+def test_verify_finds_the_same(results):
+    assert verify(results).fine
 
 
 def test_the_columns_give_what_is_counted(results):

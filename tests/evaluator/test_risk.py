@@ -65,6 +65,7 @@ def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario,
     whole = episodes.run(crossings, scale)
     np.testing.assert_array_equal(compiled.touch, whole.touch)
     np.testing.assert_allclose(compiled.missed, whole.missed, atol=1e-9)
+    np.testing.assert_array_equal(compiled.ticks, whole.ticks)
     assert (compiled.touch == Touch.FRONT).any()
     np.testing.assert_array_equal(compiled.touch == Touch.FRONT, compiled.missed == 0.0)
 
@@ -181,24 +182,6 @@ def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings
     assert [(one.value, one.lost, one.runs) for one in found.risks.scales] == [(None, 20, 6)] * 3
     assert found.as_dict()["risk_1"] is None
     assert found.risk_note == ""
-
-
-def scale_risk(*counts: tuple[int, int]) -> ScaleRisk:
-    """φ by φ as many hits of as many runs."""
-    runs = counts[0][1]
-    touches = np.zeros((runs, len(counts)), np.int64)
-    for column, (hits, _) in enumerate(counts):
-        touches[:hits, column] = Touch.FRONT
-    return ScaleRisk(1.0, touches.reshape(-1), len(counts))
-
-
-def test_a_crude_risk_and_its_intervals():
-    risk = scale_risk((1, 10), (3, 10), (0, 10))
-    assert risk.value == pytest.approx(4 / 30)
-    assert risk.counts == [(1, 10), (3, 10), (0, 10)]
-    z = stats.norm.ppf(0.975)
-    assert all(abs(4 / 30 - end) == pytest.approx(z * math.sqrt(end * (1 - end) / 30)) for end in risk.ci95)
-    assert risk.ci95_by_phi[0] < risk.value < risk.ci95_by_phi[1]
 
 
 def test_aborted_runs_are_none():
@@ -379,19 +362,6 @@ def test_failures_are_of_the_least_scale_that_has_enough(hits, scale, found):
     assert (None if here is None else here.scale) == scale
     if here is not None:
         assert here.looked_at == here.hits == sum(one.hits for one in here.kinds)
-
-
-def test_they_are_the_same_whoever_runs_the_car(rated, found, monkeypatch):
-    """Compiled crossings, and whole episodes in two processes."""
-    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.has_exact_margin", lambda *_of: False)
-    with InProcessRunner(2) as runner:
-        other = with_risks(rated, ASKED, runner).risks
-    mine = found.risks
-    assert json.dumps(mine.failures.as_dict()) == json.dumps(other.failures.as_dict())
-    assert mine.failing.keys() == other.failing.keys()
-    for row, log in mine.failing.items():
-        np.testing.assert_array_equal(log.adversary, other.failing[row].adversary)
-        np.testing.assert_array_equal(log.car, other.failing[row].car)
 
 
 def test_one_is_read_back_and_repeated_to_the_bit(folder):

@@ -7,10 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy import stats
-from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
-from skd_evaluator.metrics.frechet import discrete_frechet, warped_distance
+from skd_evaluator.metrics.frechet import warped_distance
 from skd_evaluator.metrics.skd import bound_interval, compute_skd
-from skd_evaluator.metrics.statistics import frechet_probability_bound, normal_interval
+from skd_evaluator.metrics.statistics import frechet_probability_bound
 from skd_sim.errors import UsageError
 from skd_sim.world.state import Trajectory
 
@@ -23,18 +22,6 @@ def path(points, name: str = "", time_step: float = STEP) -> Trajectory:
 
 def crossing(n: int, offset: float = 0.0, name: str = "") -> Trajectory:
     return path([(0.75 * i, offset) for i in range(n)], name)
-
-
-def random_pairs(seed: int = 0, safe: int = 4, kamikazes: int = 15):
-    rng = np.random.default_rng(seed)
-
-    def walk(n: int) -> Trajectory:
-        return path(np.cumsum(rng.normal(size=(n, 2)), axis=0))
-
-    return [
-        (Trajectory(walk(12).positions, STEP, f"φ{k}"), [walk(int(rng.integers(2, 18))) for _ in range(kamikazes + k)])
-        for k in range(safe)
-    ]
 
 
 def test_parallel_paths_by_hand():
@@ -54,22 +41,6 @@ def test_the_end_of_phi_is_a_floor_under_the_distance_and_not_under_the_prefix_d
     assert found.distances.mean == pytest.approx(math.hypot(4.5, 0.5))
     assert found.prefixes.mean == 0.5
     assert phi.prefix(len(hit_early)).duration == hit_early.duration
-
-
-def test_equals_the_definitions_pair_by_pair():
-    pairs = random_pairs()
-    found = compute_skd(pairs)
-    groups = [[discrete_frechet(phi.positions, psi.positions) for psi in psis] for phi, psis in pairs]
-    prefixes = [discrete_frechet(phi.prefix(len(psi)).positions, psi.positions) for phi, psis in pairs for psi in psis]
-    every = [value for group in groups for value in group]
-    for part, values in ((found.distances, every), (found.prefixes, prefixes)):
-        assert part.values.tolist() == values
-        assert part.mean == pytest.approx(np.mean(values), rel=1e-14)
-        assert part.variance == pytest.approx(np.var(values, ddof=1), rel=1e-12)
-        assert part.plain_interval == normal_interval(values)
-        assert [len(rows) for rows in part.groups] == [15, 16, 17, 18]
-    assert found.distances.clustered == clustered_mean(groups, prior=DISTANCES, limits=(0.0, math.inf))
-    assert found.distances.interval == found.distances.clustered.interval
 
 
 def test_maximum_distance_leaves_out_and_counts():

@@ -2,38 +2,25 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from comparison_support import FIGURES
 from rich.console import Console
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.metrics.aborted import too_many_aborted
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_evaluator.report.warnings import figure_warnings
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import AbortKind, EpisodeLog, Mode, Outcome, abort_reason
+from skd_sim.world.episode import Mode, Outcome
 from stages import rate
-from test_campaign import straight, trial
+from test_campaign import StubRunner, straight, trial
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=40, simulations=1)
-REASON = abort_reason(AbortKind.NO_ANSWER, "the controller is silent")
 
 
-def assessed(decide, plan: Plan = PLAN) -> Assessment:
-    """An assessment of two φ whose episodes end as `decide` says: an outcome, or a pair with commands clipped."""
-
-    class Runner:
-        def run(self, episodes):
-            for episode in episodes:
-                outcome, clipped = decide(episode)
-                walked = np.array(episode.start) + np.array([[0.0, 0.0], [0.5, 0.0], [1.0, -1.0]])
-                hit = (0.5, 4.0) if outcome == Outcome.COLLISION else ()
-                reason = REASON if outcome == Outcome.ABORTED else ""
-                yield EpisodeLog(episode, outcome, walked, np.zeros((3, 4)), *hit, reason=reason, clipped=clipped)
-
-    safe = [straight(name="one"), straight(1.0, "two")]
-    return rate(plan, [plan.objective], safe, Runner())
+def assessed(decide, plan: Plan = PLAN, runner: type[StubRunner] = StubRunner) -> Assessment:
+    """An assessment of two φ whose episodes end as `decide` says."""
+    return rate(plan, [plan.objective], [straight(name="one"), straight(1.0, "two")], runner(decide))
 
 
 def shown(rating: Assessment) -> str:
@@ -47,7 +34,7 @@ def shown(rating: Assessment) -> str:
 def test_safe_trajectory_that_is_always_hit_is_named():
     def decide(episode):
         second = episode.safe_trajectory.name == "two"
-        return (Outcome.COLLISION if second or episode.mode == Mode.KAMIKAZE else Outcome.ARRIVED), 0
+        return Outcome.COLLISION if second or episode.mode == Mode.KAMIKAZE else Outcome.ARRIVED
 
     found = assessed(decide)
     (line,) = figure_warnings(found.as_dict())
@@ -62,56 +49,34 @@ def test_safe_trajectory_that_is_always_hit_is_named():
 
 
 def test_clipped_commands_are_counted_wherever_they_were():
-    def decide(episode):
-        if episode.mode == Mode.REPLAY:
-            return Outcome.ARRIVED, 2 if trial(episode) == 3 else 0
-        return (Outcome.COLLISION if trial(episode) % 2 else Outcome.MISSED), 5 if trial(episode) == 0 else 0
+    class Clipping(StubRunner):
+        def run(self, episodes):
+            for log in super().run(episodes):
+                number, along = trial(log.episode), log.episode.mode == Mode.REPLAY
+                yield replace(log, clipped=2 * (number == 3) if along else 5 * (number == 0))
 
-    found = assessed(decide)
+    found = assessed(lambda episode: Outcome.COLLISION if trial(episode) % 2 else Outcome.MISSED, runner=Clipping)
     assert found.as_dict()["commands_clipped"] == {"commands": 14, "episodes": 4}
     (line,) = figure_warnings(found.as_dict())
     assert "14 commands in 4 episodes" in line
     assert "commands beyond what the car can do" in shown(found)
 
 
-@pytest.mark.parametrize(("maximum", "fails"), [(0.04, True), (0.07, False), (0.0, True), (1.0, False)])
-def test_too_many_aborted(maximum, fails):
-    """Two of 40 episodes, which is 5 %, are aborted, and of 30 runs along φ."""
-
-    def decide(episode):
-        if episode.mode == Mode.REPLAY:
-            return (Outcome.ABORTED if trial(episode) == 0 else Outcome.ARRIVED), 0
-        return Outcome.COLLISION, 0
-
-    found = assessed(decide, replace(PLAN, collision_runs=30))
-    assert (len(found.reasons), found.episodes) == (2, 40)
-    why = too_many_aborted(found.as_dict(), maximum)
-    assert (why is not None) is fails
-    if why:
-        assert f"2 of 40 episodes were aborted, more than --max-aborted {100 * maximum:g} %; 2 of them: {REASON}" in why
-    assert found.as_dict()["aborted_reasons"] == {"no answer": {"count": 2, "first": REASON}}
-    assert "aborted episodes: no answer" in shown(found)
-
-
 RESULT = {
+    **FIGURES,
     "car": "a.b:C",
-    "eta_max": 5.0,
     "margin": 5.0,
     "margin_ci95": (5.0, 5.0),
-    "margin_converged": True,
     "margin_budget": 128,
-    "margin_how": None,
     "margin_trials": 12,
     "margin_beyond": 12,
     "per_safe_trajectory": [{"safe": True}] * 3,
     "distinct_safe_trajectories": 3,
     "optimality_gap": None,
     "impact_speed": None,
-    "scenario": {"collision": {"hit_speed": 0.556}},
     "skd": 1.0,
     "objectives": {},
     "collision_runs": 24,
-    "nominal_collision_rate": 0.0,
     "until_width": None,
     "commands_clipped": {"commands": 0, "episodes": 0},
 }
