@@ -51,8 +51,6 @@ class Raises(_Car):
     def late(self): return 1 / 0
 class Sleeps(_Car):
     def late(self): time.sleep(1000)
-class NoCommand:
-    def reset(self, scenario, rng): pass
 """
 
 

@@ -73,7 +73,7 @@ def watched(episode: EpisodeSpec, controller: Controller | None = None) -> tuple
 
 
 def seen(log: EpisodeLog, times: np.ndarray, states: np.ndarray) -> Seen | None:
-    """Return the first touch in an episode in which the car was in these states at these times."""
+    """Return the first touch in an episode of discs in which the car was in these states at these times."""
     scenario = log.episode.scenario
     last = scenario.time_step * (len(log.adversary) - 1)
     standing = [scenario.others_at(tick) for tick in range(len(log.adversary))]
@@ -88,13 +88,7 @@ def seen(log: EpisodeLog, times: np.ndarray, states: np.ndarray) -> Seen | None:
         for number, other in enumerate(scenario.others):
             ends = np.array([(one[number].x, one[number].y) for one in standing])
             body = np.column_stack([np.interp(moments, walked, column) for column in ends.T])
-            radius, *_ = other.shape
-            if radius > 0.0:
-                found.append(distances(poses, body, scenario) - radius)
-                continue
-            later = np.minimum((moments / scenario.time_step + 1e-9).astype(int) + 1, len(standing) - 1)
-            turned = np.array([standing[tick][number].heading for tick in later])
-            found.append(boxes_apart(poses, body, turned, scenario, other.shape[1:]))
+            found.append(distances(poses, body, scenario) - other.reach)
         return np.array(found)
 
     moments = np.append(np.arange(0.0, last, STEP), last)
@@ -127,33 +121,6 @@ def distances(poses: np.ndarray, places: np.ndarray, scenario: Scenario) -> np.n
     ahead, left = in_frame(poses, places)
     car = scenario.car
     return np.hypot(ahead - np.clip(ahead, -car.rear, car.front), left - np.clip(left, -car.half_width, car.half_width))
-
-
-def boxes_apart(
-    poses: np.ndarray, places: np.ndarray, turned: np.ndarray, scenario: Scenario, half: tuple[float, float]
-) -> np.ndarray:
-    """Return the widest gap between the car's rectangle and another's over the directions of their edges, m."""
-    car = scenario.car
-    middle = 0.5 * (car.front - car.rear)
-    first = poses[:, :2] + middle * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
-    corners = []
-    for centres, headings, (length, width) in (
-        (first, poses[:, 2], (0.5 * (car.front + car.rear), car.half_width)),
-        (places, turned, half),
-    ):
-        ahead, left = directions(headings), directions(headings + 0.5 * math.pi)
-        corners.append(np.stack([
-            centres + i * length * ahead + j * width * left for i in (-1, 1) for j in (-1, 1)
-        ], axis=1))  # fmt: skip
-    gaps = []
-    for heading in (poses[:, 2], poses[:, 2] + 0.5 * math.pi, turned, turned + 0.5 * math.pi):
-        one, other = (np.einsum("nkd,nd->nk", box, directions(heading)) for box in corners)
-        gaps.append(np.maximum(one.min(axis=1) - other.max(axis=1), other.min(axis=1) - one.max(axis=1)))
-    return np.max(gaps, axis=0)
-
-
-def directions(headings: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.cos(headings), np.sin(headings)])
 
 
 def side(pose: np.ndarray, body: np.ndarray, scenario: Scenario) -> Touch | None:

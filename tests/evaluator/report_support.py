@@ -2,12 +2,13 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from cli_support import SMALL
 from common import run_skd
-from skd_evaluator.assessment.files.result_folder import MANIFEST
+from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 
 
 def make_sweep(folder: Path) -> Path:
@@ -16,10 +17,18 @@ def make_sweep(folder: Path) -> Path:
     return folder
 
 
+def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change assessment.json, and write the manifest anew, as a forger would."""
+    path = folder / "assessment.json"
+    figures = json.loads(path.read_text())
+    change(figures)
+    path.write_text(json.dumps(figures))
+    write_manifests(folder)
+
+
 def edited(source: Path, target: Path, **changes: Any) -> Path:
     """Copy an assessment, as older versions left it, and change entries of its assessment.json."""
     shutil.copytree(source, target)
-    (target / MANIFEST).unlink(missing_ok=True)
-    path = target / "assessment.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+    edit(target, lambda figures: figures.update(changes))
+    (target / MANIFEST).unlink()
     return target

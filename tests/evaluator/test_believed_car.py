@@ -1,7 +1,6 @@
 """What a kamikaze believed of the car: recorded tick by tick, read back, drawn; its trajectory is the same."""
 
 import numpy as np
-import pytest
 from skd_adversary.adversary import make_adversary
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
@@ -11,16 +10,6 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode
-
-
-@pytest.fixture(scope="module")
-def folder(sweep):
-    return sweep / "synthetic" / "C_1"
-
-
-@pytest.fixture(scope="module")
-def stored(folder):
-    return read_episodes(folder)
 
 
 def test_it_is_mean_and_deviation_of_the_particles_and_changes_nothing():
@@ -55,9 +44,9 @@ def test_it_is_mean_and_deviation_of_the_particles_and_changes_nothing():
     np.testing.assert_allclose(log.belief[:-1], np.array(seen).reshape(-1, 4), rtol=1e-9, atol=1e-9)
 
 
-def test_it_is_in_the_file_and_agrees_with_where_the_car_is(stored):
+def test_it_is_in_the_file_and_agrees_with_where_the_car_is(sweep):
     """A filter that knows the car is off by its own deviations: by a tick more it would be off by five."""
-    scores = []
+    stored, scores = read_episodes(sweep / "synthetic" / "C_1"), []
     for number in range(len(stored)):
         belief, car = stored.belief[number], stored.car[number]
         assert len(belief) == len(car)

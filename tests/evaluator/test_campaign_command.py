@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
-from edited_results import edit
+from report_support import edit
 from skd_evaluator.assessment.files.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -208,7 +208,7 @@ def test_a_damaged_store_or_result_is_said(here, skd_here):
     assert verify(here / "out").fine
     whole = (here / "out" / "basic-C1" / "episodes.npz").read_bytes()
     resume = ("campaign", "campaign.yaml", "--out", "out", "--resume", "--workers", "1")
-    edit(here / "out" / "basic-C1", lambda figures: figures.update(seconds=1), "rewritten")
+    edit(here / "out" / "basic-C1", lambda figures: figures.update(seconds=1))
     (problem,) = verify(here / "out").problems
     assert "cell basic-C1: assessment.json is not the file that the row is of" in problem
     one_line(skd_here(*resume), 2, "basic-C1/assessment.json: is not what was written", "--resume makes it again")

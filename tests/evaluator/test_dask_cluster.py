@@ -1,13 +1,16 @@
 """Campaigns on a Dask cluster: the same to the bit; what is unlike, dies or is out of reach is one line."""
 
+import json
+import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from common import wait_until
 
 pytest.importorskip("distributed", reason="Dask is not installed: python -m pip install '.[dask]'")
 
-from local_dask import local_cluster, start_worker
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run import dask_cluster
 from skd_evaluator.assessment.run.dask_cluster import make_runner
@@ -35,10 +38,34 @@ class Needs:
 """
 
 
+def dask(folder: Path, *words: str) -> subprocess.Popen[bytes]:
+    """Start a program of Dask in a folder, so that nothing of the caller's is found by chance; its log goes there."""
+    command = [sys.executable, "-m", "dask", *words]
+    with (folder / "dask.log").open("ab") as log:
+        return subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+
+
+def start_worker(address: str, folder: Path) -> subprocess.Popen[bytes]:
+    options = ("--nworkers", "1", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")
+    return dask(folder, "worker", address, *options, "--local-directory", str(folder))
+
+
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    with local_cluster(2, tmp_path_factory.mktemp("dask")) as found:
-        yield found
+    """A scheduler on a port that is free, and two workers, in processes of their own."""
+    folder = tmp_path_factory.mktemp("dask")
+    file, options = folder / "scheduler.json", ("--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+    scheduler, workers = dask(folder, "scheduler", *options, "--scheduler-file", file.name), []
+    try:
+        wait_until(lambda: scheduler.poll() is not None or (file.exists() and file.read_text()), "Dask's scheduler")
+        assert scheduler.poll() is None, (folder / "dask.log").read_text()[-500:]
+        address = json.loads(file.read_text())["address"]
+        workers += [start_worker(address, folder) for _ in range(2)]
+        yield SimpleNamespace(address=address, scheduler=scheduler, workers=workers)
+    finally:
+        for process in (*workers, scheduler):
+            process.kill()
+            process.wait()
 
 
 @pytest.fixture

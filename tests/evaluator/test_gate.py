@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -27,25 +26,20 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from stages import rate
 
-PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30)
+PLAN = Plan(
+    load_scenario("crossing"), multiplier=1.15, safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30
+)
 
 
 @pytest.fixture(scope="module")
-def cars(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
-    """Results of a car that is easily hit, of one that is not, and of one with other kamikazes."""
-    folder = tmp_path_factory.mktemp("cars")
-    with InProcessRunner(1) as runner:
-        safe = safe_trajectories(PLAN, runner)
-        for multiplier in (0.5, 1.15):
-            plan = replace(PLAN, multiplier=multiplier)
-            (folder / f"{multiplier}").mkdir()
-            write_assessment(folder / f"{multiplier}", rate(plan, DEFAULT_OBJECTIVES, safe, runner))
-    return {0.5: folder / "0.5", 1.15: folder / "1.15"}
+def cars(sweep: Path) -> list[Path]:
+    """Results of a car that is easily hit, and of one that is less so."""
+    return [sweep / "synthetic" / name for name in ("C_0.5", "C_1")]
 
 
 @pytest.fixture(scope="module")
-def result(cars: dict[float, Path]) -> dict[str, Any]:
-    return json.loads((cars[0.5] / "assessment.json").read_text(encoding="utf-8"))
+def result(cars: list[Path]) -> dict[str, Any]:
+    return json.loads((cars[0] / "assessment.json").read_text(encoding="utf-8"))
 
 
 def test_limits_hold_on_their_own_side(result):
@@ -58,12 +52,12 @@ def test_limits_hold_on_their_own_side(result):
 
 
 def test_a_limit_holds_for_each_of_several_cars(cars, result, skd_here):
-    folders, deviation = [str(folder) for folder in cars.values()], result["deviation"]  # the lesser one
+    deviation = result["deviation"]  # the lesser one
     for limit, code in ((9.0, 0), (deviation, 1)):
         words = ("--no-pictures", "--fail-above", f"deviation={limit!r}", "--overwrite", "--out", "both")
-        done = skd_here("compare", *folders, *words)
+        done = skd_here("compare", *cars, *words)
         assert done.returncode == code
-        assert ("gate: basic, C = 1.15: deviation ≤" in done.stderr) == bool(code)
+        assert ("gate: basic, C = 1: deviation ≤" in done.stderr) == bool(code)
         assert "gate: basic, C = 0.5" not in done.stderr
 
 
@@ -92,21 +86,22 @@ class Aborting:
             yield aborted(log.episode, "process ended: it did") if lost else log
 
 
-def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(cars, tmp_path):
+def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(tmp_path):
     """It passed: its planned deviation is that of the trials that it let go on."""
-    plan = replace(PLAN, multiplier=1.15)
-    with InProcessRunner(1) as runner:
-        safe = safe_trajectories(PLAN, runner)
-        write_assessment(tmp_path, rate(plan, DEFAULT_OBJECTIVES, safe, Aborting(runner)))
-    earlier, mine = read_result(cars[1.15]), read_result(tmp_path)
+    whole = InProcessRunner(1)
+    safe = safe_trajectories(PLAN, whole)
+    for name, runner in (("whole", whole), ("aborting", Aborting(whole))):
+        (tmp_path / name).mkdir()
+        write_assessment(tmp_path / name, rate(PLAN, DEFAULT_OBJECTIVES, safe, runner))
+    earlier, mine = read_result(tmp_path / "whole"), read_result(tmp_path / "aborting")
     counts = mine.figures["objectives"]["deviation"]
     assert sum(map(len, mine.worst["deviation"])) == counts["trials"] + counts["aborted"]
     assert mean(np.concatenate(mine.worst["deviation"])) == pytest.approx(at_worst(mine.figures, "deviation").value)
-    found = check_not_worse(tmp_path, earlier)
+    found = check_not_worse(tmp_path / "aborting", earlier)
     assert (found.failed, found.error) == (False, True)
     assert "it would be less safe by deviation if it had hit in all of its aborted episodes" in found.text
-    assert check_not_worse(tmp_path, mine).error
-    assert check_not_worse(cars[1.15], mine).passed
+    assert check_not_worse(tmp_path / "aborting", mine).error
+    assert check_not_worse(tmp_path / "whole", mine).passed
 
 
 @pytest.mark.parametrize("name", ["margin", "margin_p10", "equivalent_multiplier"])
@@ -152,7 +147,7 @@ def test_junit_tells_failures_of_the_car_from_errors(result):
 def test_the_command_line_decides(skd_here, here, cars):
     conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "margin_trials=0"]
     files = ["--junit", "j.xml", "--markdown", "m.md"]
-    earlier = ["--fail-if-worse-than", str(cars[1.15])]
+    earlier = ["--fail-if-worse-than", cars[1]]
     done = skd_here("assess", *SMALL, *conditions, *earlier, *files, "--out", "out")
     assert done.returncode == 1
     passed, failed, error = [line for line in done.stdout.splitlines() if line.startswith("gate: ")]

@@ -2,28 +2,18 @@
 
 import shutil
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from cli_support import one_line
-from edited_results import edit
-from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
+from report_support import edit
+from skd_evaluator.assessment.files.result_folder import write_manifests
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
 from skd_sim.errors import UsageError
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
-
-
-@pytest.fixture
-def result(sweep: Path, tmp_path: Path) -> Path:
-    """An assessment as older versions left it: nothing beside it says what its files were."""
-    copy = tmp_path / "result"
-    shutil.copytree(sweep / "synthetic" / "C_1", copy)
-    (copy / MANIFEST).unlink()
-    return copy
 
 
 FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
@@ -59,6 +49,7 @@ def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, plac
         arrays = dict(file)
     arrays[name][place] = value
     np.savez(result / "episodes.npz", **arrays)
+    write_manifests(result)
     one_line(skd_here("report", str(result), "--format", "png", "--out", "shown"), 2, said)
 
 

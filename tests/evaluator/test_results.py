@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from cli_support import names
 from skd_evaluator.assessment.files.result_folder import MANIFEST, ResultFolder, write_json
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.report.presentation import with_scratch
@@ -19,10 +20,6 @@ def old_results(folder: Path) -> None:
     folder.mkdir()
     (folder / "assessment.json").write_text("old")
     (folder / "left_over.txt").write_text("old")
-
-
-def names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
 
 
 def content(folder: Path) -> dict[str, str]:

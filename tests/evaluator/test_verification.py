@@ -3,33 +3,20 @@
 import hashlib
 import io
 import json
-import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from cli_support import one_line
-from edited_results import edit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from skd_evaluator.assessment.assessment import KamikazeSet, assessment_of
+from report_support import edit
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
-from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
-from skd_evaluator.assessment.files.results import read_result, write_assessment
+from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.plan import Plan, runs_along
-from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
-from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.report.html.page import render
-from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, Outcome
 
 
 def at(figures: dict[str, Any], *path: Any) -> Any:
@@ -55,7 +42,7 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_figure_that_does_not_follow_from_the_episodes_is_named(result: Path, name: str) -> None:
-    edit(result, CHANGES[name], "rewritten")
+    edit(result, CHANGES[name])
     found = verify(result)
     assert not found.fine
     assert [line for line in found.contradict if line.startswith(f"{name} is ")], found.contradict
@@ -71,7 +58,7 @@ def test_verify_says_what_agrees_and_what_cannot_be_computed(result: Path, skd_h
     assert one["contradict"] == one["problems"] == []
     assert one["files"] == {}
     assert "margin_converged" in one["unknown"]
-    edit(result, CHANGES["skd"], "rewritten")
+    edit(result, CHANGES["skd"])
     done = skd_here("verify", str(result))
     assert done.returncode == 1
     assert "NOT FINE" in done.stdout
@@ -118,15 +105,16 @@ def test_verify_reads_sweeps_and_says_what_is_none(sweep: Path, result: Path, sk
     assert "assessment.json: cannot be read" in gone.problems[0]
 
 
-def test_every_reader_refuses_a_file_that_was_changed_in_one_line(result: Path, sweep: Path, skd_here) -> None:
-    edit(result, CHANGES["skd"], "kept")
+@pytest.mark.parametrize("name", ["assessment.json", "episodes.npz"])
+def test_every_reader_refuses_a_file_that_was_changed_in_one_line(result, sweep, skd_here, name) -> None:
+    (result / name).write_bytes((result / name).read_bytes() + b" ")
     for words in (
         ("report", result, "--out", "r.html"),
         ("compare", sweep / "synthetic" / "C_0.5", result, "--out", "compared"),
         ("compare", result, "--width", "0.2"),
         ("assess", "--fail-if-worse-than", result, "--out", "assessed"),
     ):
-        one_line(skd_here(*map(str, words)), 2, "assessment.json", "is not what was written")
+        one_line(skd_here(*map(str, words)), 2, f"{name}: is not what was written")
 
 
 def said_by(stored: StoredEpisodes) -> list[bytes]:
@@ -165,27 +153,3 @@ def test_whatever_is_damaged_in_episodes_is_refused_or_says_the_same(sweep: Path
         assert str(tmp_path) in str(error)  # noqa: PT017
         return
     assert kind == "value" or said_by(stored) == right
-
-
-@pytest.mark.parametrize("began", [True, False])
-def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
-    """Also one that never began, of which there is no state of the car."""
-    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=2, collision_runs=4, simulations=20)
-    runner = InProcessRunner(1)
-    safe = safe_trajectories(plan, runner)
-    sets, replays = kamikaze_sets(plan, safe, runner), list(runner.run(runs_along(plan, safe)))
-
-    def lost(log: EpisodeLog) -> EpisodeLog:
-        reason = "no answer: car_controller was silent"
-        if not began:
-            return aborted(log.episode, reason)
-        return replace(log, outcome=Outcome.ABORTED, reason=reason, impact_time=math.nan, impact_speed=math.nan)
-
-    logs = sets[0].episodes
-    sets[0] = KamikazeSet(safe[0], (lost(logs[0]), *logs[1:]))
-    rating = assessment_of(plan, safe, {plan.objective: sets}, [lost(replays[0]), *replays[1:]])
-    write_assessment(tmp_path, rating)
-    write_manifests(tmp_path)
-    assert read_result(tmp_path).figures["aborted"] == 2
-    assert verify(tmp_path).fine
-    assert "2 episodes aborted" in render(read_subjects([tmp_path]))
