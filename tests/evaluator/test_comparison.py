@@ -1,5 +1,6 @@
 """Verdicts of `skd compare`, of results whose figures are given."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from skd_evaluator.assessment.compare.comparison import (
     compare,
     ranking_figure,
 )
+from skd_evaluator.assessment.compare.gate import not_worse
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.price_of_caution import HORIZON, HarmlessRun, PriceOfCaution
@@ -204,6 +206,27 @@ def test_a_car_whose_margin_is_an_upper_bound_is_never_the_safer_one() -> None:
     assert "the margin of c is at most 0.8" in compare(least, known).lines()[0]
     assert compare(least, known).reason == ""
     assert compare(least, bound).verdict == INCONCLUSIVE
+
+
+@pytest.mark.parametrize(
+    ("margins", "bound", "why"),
+    [
+        ((0.5, 1.0), "mine", "not judged: .*the margin is an upper bound"),
+        ((1.5, 1.0), "earlier", "not judged: .*the earlier margin is an upper bound"),
+        ((0.5, 1.0), "earlier", None),
+        ((1.5, 1.0), "mine", "worse"),
+    ],
+)
+def test_no_gate_passes_by_an_upper_bound(margins: tuple[float, float], bound: str, why: str | None) -> None:
+    """Mine may be less than it says; an earlier one may be, and where it is the less anyhow it does no harm."""
+    earlier, mine = (
+        result(name, values(1, shift=margin), planned=np.ones((8, 20)), **(OPEN if name == bound else {}))
+        for name, margin in zip(("earlier", "mine"), margins, strict=True)
+    )
+    check = not_worse(mine, earlier)
+    assert (check.failed, check.error, check.passed) == (why == "worse", why not in (None, "worse"), why is None)
+    if check.error:
+        assert re.search(why or "", check.text)
 
 
 def test_what_a_search_may_have_missed_is_in_the_interval_of_the_difference() -> None:

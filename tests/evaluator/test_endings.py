@@ -111,27 +111,23 @@ def test_a_file_that_walks_the_other_way_is_refused(tmp_path: Any) -> None:
     assert Plan(MIRRORED).scenario.end.crossing == -1.0
 
 
-STOPPING = {
-    "kind": "car",
-    "length": 4.0,
-    "width": 1.7,
-    "start_heading": 1.5707963,
-    "way": [{"time": 0.0, "x": 0.0, "y": 0.0}, {"time": 2.4, "x": 0.0, "y": 12.0}],  # and stands there
-}
-
-
-def behind(folder: Path) -> None:
-    data = copy.deepcopy(load_scenario("crossing").as_dict())
-    data["others"] = [STOPPING]
-    data["adversary"]["start_x"] = -6.0  # crosses behind the car ahead
-    (folder / "behind.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
-
-
+BEHIND = f"""
+name: behind
+description: The adversary crosses behind a car ahead, which stops and stands.
+extends: crossing
+adversary: {{start_x: -6.0}}
+others:
+  - kind: car
+    length: 4.0
+    width: 1.7
+    start_heading: {np.pi / 2}
+    way: [{{time: 0.0, x: 0.0, y: 0.0}}, {{time: 2.4, x: 0.0, y: 12.0}}]
+"""
 COUNTS = ("--safe-count", "2", "--kamikaze-count", "3", "--collision-runs", "10", "--simulations", "60")
 
 
 def test_a_car_that_brakes_for_the_adversary_alone_runs_into_the_car_ahead(tmp_path: Path) -> None:
-    behind(tmp_path)
+    (tmp_path / "behind.yaml").write_text(BEHIND)
     done = skd("assess", "--multiplier", "0", "--scenario", "behind.yaml", *COUNTS, "--out", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "episodes the car ran into others[0], a car, and not into the adversary" in done.stderr

@@ -65,6 +65,14 @@ class Raises(Named):
         raise ValueError("boom")
 
 
+class Gone(Named):
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        frame = super().step(acceleration, velocity)
+        if frame.tick == 2:
+            raise SimulatorError(AbortKind.NO_ANSWER, "it is gone")
+        return frame
+
+
 class Skips(Named):
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         frame = super().step(acceleration, velocity)
@@ -102,7 +110,7 @@ class Dies(Named):
 
 @pytest.fixture(autouse=True)
 def simulators(monkeypatch: pytest.MonkeyPatch) -> None:
-    for one in (Named, NanSpeed, Forgetful, Stays, Jumps, Raises, Skips, Endless, Dies):
+    for one in (Named, NanSpeed, Forgetful, Stays, Jumps, Raises, Gone, Skips, Endless, Dies):
         monkeypatch.setitem(SIMULATORS.own, one.__name__.lower(), f"{__name__}:{one.__name__}")
 
 
@@ -182,21 +190,7 @@ def test_one_that_ends_its_process_aborts_its_episodes_by_name():
         assert "simulator dies" in one
 
 
-EPISODE = EpisodeSpec(load_scenario("crossing"), Mode.SAFE, 3, 1, simulations=40)
-
-
-class Failing(WorldSimulator):
-    """The world, until it is gone in the second tick."""
-
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        frame = super().step(acceleration, velocity)
-        if frame.tick == 2:
-            raise SimulatorError(AbortKind.NO_ANSWER, "it is gone")
-        return frame
-
-
 def test_one_that_fails_aborts_the_episode() -> None:
-    log = run_episode(EPISODE, simulator=Failing())
+    log = crossed("gone")
     assert (log.outcome, log.reason) == (Outcome.ABORTED, "no answer: it is gone")
     assert math.isnan(log.impact_time)
-    assert run_episode(EPISODE).outcome != Outcome.ABORTED

@@ -1,7 +1,6 @@
 """Euro NCAP: the command, and its result in assessments."""
 
 import json
-import math
 import re
 from dataclasses import replace
 
@@ -47,8 +46,6 @@ class Brakes:
 
 class Early(Brakes):
     begins, ends, deceleration = 1.5, 100.0, 6.0
-class Late(Brakes):
-    begins, ends, deceleration = 4.4, 100.0, 6.0
 class JustPasses(Brakes):
     begins, ends, deceleration = 0.0, 0.6, 1.2
 class SpeedsUp(Brakes):
@@ -84,36 +81,6 @@ def cars(here):
 
 def cells_of(folder) -> list[GridCell]:
     return [cell for grid in read_protocol(folder).grids for cell in grid.cells]
-
-
-def test_a_late_braker_is_red_where_an_early_one_is_green_at_the_speed_of_the_textbook(cars):
-    """v² − 2·a·d: the front is 0.25 m before the target's way 4.65 s after the start, less what that takes."""
-    for name in ("Early", "Late"):
-        done = skd(
-            "protocol",
-            "ncap",
-            "--controller",
-            f"ncap_cars:{name}",
-            "--scenarios",
-            "cpna-50",
-            *NONE,
-            "--out",
-            name,
-            cwd=cars,
-        )
-        assert done.returncode == 0, done.stderr
-        assert "no margin: --margin-limit 0" in done.stdout
-    early, late = cells_of(cars / "Early"), cells_of(cars / "Late")
-    assert [cell.colour for cell in early] == ["green"] * 6
-    assert not any(cell.touched for cell in early)
-    for cell in late:
-        speed = cell.speed * KMH
-        left = speed * (4.65 - 4.4) - 0.25
-        squared = speed**2 - 2.0 * 6.0 * left
-        assert squared > 0.0
-        assert cell.touched
-        assert cell.colour == "red"
-        assert (cell.value or 0.0) * KMH == pytest.approx(math.sqrt(squared), abs=0.1)
 
 
 def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
@@ -174,6 +141,7 @@ def test_cells_that_cannot_be_judged_say_why(cars):
     assert done.returncode == 0, done.stderr
     found = cells_of(cars / "out")
     assert [cell.colour for cell in found] == [""] * 6
+    assert "no margin: --margin-limit 0" in done.stdout
     assert "the car speeds up to 34 km/h, which is no test at 20 km/h" in done.stdout
     assert "CPNA day has no test at 35 km/h" in done.stdout
     assert "CPNA day has no impact place of 0 %" in done.stdout

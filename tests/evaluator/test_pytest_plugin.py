@@ -1,20 +1,15 @@
 """The plug-in of pytest, in a pytest of its own."""
 
 import json
-import re
 import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from common import run_program
-from comparison_support import FIGURES
 from report_support import edited
 from skd_evaluator import library
-from skd_evaluator.assessment.compare.gate import not_worse
-from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Assessor
@@ -105,33 +100,3 @@ def test_a_car_without_margin_and_skd_passes_no_test(tmp_path: Path, monkeypatch
             skd.assess(MyCar)
     figures["margin"] = 5.0
     assert Assessor(tmp_path).assess(MyCar).figures["margin"] == 5.0
-
-
-def of_a_car(name: str, margin: float, **limits: object) -> StoredResult:
-    """Return a result whose margins are near one value on every φ."""
-    groups = {"margin": tuple(margin + 0.1 * np.random.default_rng(1).random((8, 20)))}
-    same = ("risk_2", "nominal_collision_rate", "contact_rate", "deviation", "skd", "skd_prefix")
-    groups |= dict.fromkeys(same, tuple(np.ones((8, 20))))
-    safe = tuple(np.full((3, 2), float(index)) for index in range(8))
-    return StoredResult(Path(name), {**FIGURES, **limits}, safe, None, groups)
-
-
-@pytest.mark.parametrize(
-    ("margins", "bound", "why"),
-    [
-        ((0.5, 1.0), "mine", "not judged: .*the margin is an upper bound"),
-        ((1.5, 1.0), "earlier", "not judged: .*the earlier margin is an upper bound"),
-        ((0.5, 1.0), "earlier", None),
-        ((1.5, 1.0), "mine", "worse"),
-    ],
-)
-def test_no_gate_passes_by_an_upper_bound(margins: tuple[float, float], bound: str, why: str | None) -> None:
-    """Mine may be less than it says; an earlier one may be, and where it is the less anyhow it does no harm."""
-    found = {}
-    for name, margin in zip(("earlier", "mine"), margins, strict=True):
-        limits = {"margin_converged": False, "margin_budget": 64} if name == bound else {}
-        found[name] = of_a_car(name, margin, **limits)
-    check = not_worse(found["mine"], found["earlier"])
-    assert (check.failed, check.error, check.passed) == (why == "worse", why not in (None, "worse"), why is None)
-    if check.error:
-        assert re.search(why or "", check.text)

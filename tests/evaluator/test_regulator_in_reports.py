@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from common import assert_valid
+from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.stages.static_tests import place_of
 from skd_evaluator.extensions.protocols.layout import layout_of, reasons
 from skd_evaluator.extensions.protocols.page import views_of
@@ -40,37 +41,19 @@ class Found:
 
 
 def found(
-    source: str,
-    speed: float,
-    place: float,
-    *,
-    touched: float = 0.0,
-    margin: float = 1.0,
-    car: str = "x:Y",
-    **changes: Any,
+    source: str, speed: float, place: float, *, touched: float = 0.0, margin: float = 1.0, **changes: Any
 ) -> Found:
     """Return a result at a test speed, km/h, whose car touches the target at a speed, km/h, if it does."""
     scenario = changed_scenario(source, {"car.start_speed": speed * KMH, "protocol.impact_places": [place], **changes})
     test = {
-        "place": place,
-        "touched": touched > 0.0,
-        "target": touched > 0.0,
-        "impact_speed": touched * KMH,
-        "speed_ahead": 0.0,
-        "fastest": speed * KMH,
-        "aborted": "",
-    }
+        "place": place, "touched": touched > 0.0, "target": touched > 0.0, "impact_speed": touched * KMH,
+        "speed_ahead": 0.0, "fastest": speed * KMH, "aborted": "",
+    }  # fmt: skip
     figures = {
-        "static_tests": [test],
-        "per_safe_trajectory": [{"name": f"regulatory/{place:g}", "deviation": 2.0}],
-        "car": car,
-        "controller": car,
-        "multiplier": 1.0,
-        "eta_max": 5.0,
-        "margin_converged": True,
-        "margin_note": "",
-        "seed": 0,
-    }
+        "static_tests": [test], "per_safe_trajectory": [{"name": f"regulatory/{place:g}", "deviation": 2.0}],
+        "car": "x:Y", "controller": "x:Y", "multiplier": 1.0, "eta_max": 5.0, "margin_converged": True,
+        "margin_note": "", "seed": 0,
+    }  # fmt: skip
     return Found(figures, scenario, (np.array([margin, margin]),))
 
 
@@ -84,6 +67,7 @@ def test_an_assessment_has_the_static_test_of_each_of_its_places(subject):
         assert one["touched"] == by_hand[one["place"]].touched
         assert one["impact_speed"] == by_hand[one["place"]].impact_speed
     assert_valid(dict(subject.figures))
+    assert verify(subject.folder).fine
 
 
 def test_the_page_has_the_grid_and_frames_what_is_narrow(subject):

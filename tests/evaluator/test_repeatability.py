@@ -195,10 +195,6 @@ class Counting(Honest):
     def command(self, car, adversary):
         return -6.0 if Counting.episodes % 2 else 0.0
 
-class Stands(Honest):
-    def command(self, car, adversary):
-        return -3.0
-
 class SteersInDegrees(Honest):
     def command(self, car, adversary):
         return 0.0, 20.0
@@ -222,7 +218,6 @@ SMALL = (
     [
         ("Honest", []),
         ("Counting", ["episodes ended differently in another order"]),
-        ("Stands", ["undisturbed, some_cars:Stands slows from"]),
         ("SteersInDegrees", ["undisturbed, some_cars:SteersInDegrees leaves the road in 5 of 5 drives"]),
     ],
 )

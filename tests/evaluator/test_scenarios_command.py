@@ -96,19 +96,6 @@ def test_a_campaign_of_test_speeds(skd_here, here):
     one_line(again, 2, "is there already")
 
 
-def test_an_assessment_on_the_protocols_own_ways(skd_here, here):
-    done = skd_here(
-        *("assess", "--scenario", "cpna", "--safe", "regulatory", "--kamikaze-count", "1", "--collision-runs", "7"),
-        *("--objective", "deviation", "--simulations", "60", "--margin-limit", "0", "--out", "result"),
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads((here / "result" / "assessment.json").read_text())
-    named = [one["name"] for one in found["per_safe_trajectory"]]
-    assert named == [f"regulatory/{place}" for place in (0, 10, 25, 50, 75, 90, 100)]
-    verified = skd_here("verify", "result")
-    assert verified.returncode == 0, verified.stdout
-
-
 def test_as_many_as_are_asked_for():
     scenario = load_scenario("cpna")
     found = safe_trajectories(Plan(scenario, safe="regulatory", safe_count=3), InProcessRunner(1))

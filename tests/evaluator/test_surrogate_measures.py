@@ -268,7 +268,7 @@ def test_of_a_contact_the_lighter_one_changes_more():
     assert math.isnan(greater_delta_v(7.0, "hovercraft"))
 
 
-CROSSING, CUT_IN = load_scenario("crossing"), load_scenario("cut_in")
+CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step
 EDGE = 0.9 + 0.25  # half of the car, and the disc
 
