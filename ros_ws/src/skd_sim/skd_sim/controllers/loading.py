@@ -140,6 +140,8 @@ class UserController:
     def command(self, car: CarState, adversary: AdversaryState) -> Command:
         """Pass the call on and check the answer; see `Controller.command`."""
         answer = self._call("command", self._controller.command, car, adversary)
+        if type(answer) is float and math.isfinite(answer):
+            return answer
         pair = _pair(answer)
         acceleration, steering = pair or (_number(answer), 0.0)
         if not (math.isfinite(acceleration) and math.isfinite(steering)):

@@ -155,21 +155,6 @@ class _Request(NamedTuple):
     commands: FloatArray
 
 
-class _Numbers(NamedTuple):
-    """A scenario in numbers."""
-
-    footprint: tuple[float, float, float]
-    radius: float
-    time_step: float
-    periods: int
-    least: float  # acceleration that can be commanded, m/s²
-    greatest: float
-    axles: tuple[float, float]
-    line: FloatArray
-    edges: tuple[float, float]
-    minimum_impact_speed: float
-
-
 def why_not_batched(episode: EpisodeSpec) -> str:
     """Return why episodes like this one are run one by one, in a few words; empty where they need not be."""
     scenario = episode.scenario
@@ -192,33 +177,40 @@ steering angle, rad."""
 
 @kernel
 def _advance(
-    numbers: _Numbers,
+    constants: FloatArray,
+    line: FloatArray,
     tick: int,
     period: int,
-    command: tuple[float, float],
+    requested: float,
+    angle: float,
     velocities: FloatArray,
     noise: FloatArray,
     state: FloatArray,
-) -> None:
-    """Advance an episode by a control period, or, with a contact, to the end of the tick: none decides after it."""
-    footprint, shape = numbers.footprint, (numbers.radius, 0.0, 0.0)
-    step, periods = numbers.time_step, numbers.periods
-    acceleration = min(numbers.greatest, max(numbers.least, command[0]))
-    held = acceleration, min(STEERING_LIMIT, max(-STEERING_LIMIT, command[1]))
+) -> bool:
+    """Advance an episode by a control period, or, with a contact, to the end of the tick: none decides after it.
+
+    Returns:
+        Whether there was a contact.
+    """
+    footprint, shape = (constants[0], constants[1], constants[2]), (constants[3], 0.0, 0.0)
+    step, periods, least, greatest = constants[4], int(constants[5]), constants[6], constants[7]
+    axles, edges, minimum_impact_speed = (constants[8], constants[9]), (constants[10], constants[11]), constants[12]
+    acceleration = min(greatest, max(least, requested))
+    held = acceleration, min(STEERING_LIMIT, max(-STEERING_LIMIT, angle))
     vx, vy = velocities[tick, 0], velocities[tick, 1]
     if period == 0:
         state[9], state[10] = state[4], state[5]
     x, y = state[9], state[10]
     draws, duration = (noise[tick, 0] / periods, noise[tick, 1]), step / periods
-    path, state[13] = drive((state[0], state[1], state[2], state[3]), state[13], held, draws, duration, numbers.axles)
+    path, state[13] = drive((state[0], state[1], state[2], state[3]), state[13], held, draws, duration, axles)
     state[0:4] = path[-1]
     end = (x + step * vx, y + step * vy)
     share, impact = sweep(path, (x, y), end, (vx, vy), 0.0, footprint, shape, step, period, periods)
-    contact = share <= 1.0 and impact >= numbers.minimum_impact_speed
+    contact = share <= 1.0 and impact >= minimum_impact_speed
     if path.shape[0] > 2 or path[0, 2] != HEADING_NORTH:
-        row = beyond(numbers.line, numbers.edges, footprint, path)
+        row = beyond(line, edges, footprint, path)
         left = (period + row / (path.shape[0] - 1)) / periods
-        if row >= 0 and path[row, 3] >= numbers.minimum_impact_speed and not (contact and share <= left):
+        if row >= 0 and path[row, 3] >= minimum_impact_speed and not (contact and share <= left):
             contact, share, impact = True, left, path[row, 3]
     state[6], state[7], state[8] = vx, vy, 0.0
     if contact or period == periods - 1:
@@ -230,13 +222,15 @@ def _advance(
         state[11], state[12] = share, impact
         for _ in range(period + 1, periods):
             car = state[0], state[1], state[2], state[3]
-            path, state[13] = drive(car, state[13], held, draws, duration, numbers.axles)
+            path, state[13] = drive(car, state[13], held, draws, duration, axles)
             state[0:4] = path[-1]
+    return contact
 
 
 @kernel
 def _advance_all(
-    numbers: _Numbers,
+    constants: FloatArray,
+    line: FloatArray,
     tick: int,
     period: int,
     rows: IntArray,
@@ -248,7 +242,8 @@ def _advance_all(
     """Advance some of the episodes by a control period."""
     for at in range(rows.shape[0]):
         row = rows[at]
-        _advance(numbers, tick, period, (commands[at, 0], commands[at, 1]), velocities[row], noise[row], states[row])
+        held = commands[at]
+        _advance(constants, line, tick, period, held[0], held[1], velocities[row], noise[row], states[row])
 
 
 class Replay:
@@ -257,7 +252,7 @@ class Replay:
     def __init__(self, episode: EpisodeSpec) -> None:
         """Draw what all of them have in common; see `why_not_batched`."""
         scenario = episode.scenario
-        self._numbers, self._noise = _numbers(episode), _noise(episode, scenario.ticks)
+        self._constants, self._noise = _constants(episode), _noise(episode, scenario.ticks)
         self._begin = _first_state(episode)
         self._seed = controller_seed(episode.seed, episode.episode_id)
 
@@ -271,21 +266,23 @@ class Replay:
         assert path is not None
         ticks, periods = min(scenario.ticks, len(path) - 1), scenario.control_periods
         velocities = path_velocities(path.positions, ticks, scenario.time_step)
-        state, noise, numbers = self._begin.copy(), self._noise, self._numbers
+        state, noise, constants, line = self._begin.copy(), self._noise, self._constants, scenario.road.line
         controller.reset(episode.public_scenario, controller_generator(self._seed))
         command, sees_scene = controller.command, protocol.takes_scene(controller)
         found = np.empty((ticks + 1, len(state)))
         found[0] = state
+        contact = False
         for tick in range(ticks):
             for period in range(periods):
                 now = state.tolist()
                 car, user = CarState(*now[CAR]), AdversaryState(*now[USER])
                 seen: Any = Scene(car, user) if sees_scene else user
-                _advance(numbers, tick, period, as_pair(command(car, seen)), velocities, noise, state)
-                if state[SHARE] <= 1.0:
+                acceleration, angle = as_pair(command(car, seen))
+                contact = _advance(constants, line, tick, period, acceleration, angle, velocities, noise, state)
+                if contact:
                     break
             found[tick + 1] = state
-            if state[SHARE] <= 1.0:
+            if contact:
                 return _log(episode, found[: tick + 2])
         return _log(episode, found)
 
@@ -328,7 +325,7 @@ def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
     assert not why_not_batched(first), why_not_batched(first)
     policy = _made(first)
     requests: list[_Request] = []
-    numbers, scenario, count = _numbers(first), first.scenario, len(episodes)
+    constants, scenario, count = _constants(first), first.scenario, len(episodes)
     limit = scenario.ticks
     ends = np.array([min(limit, len(one.safe_trajectory or ()) - 1) for one in episodes], np.int64)
     most = int(ends.max())
@@ -345,14 +342,14 @@ def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
         rows = np.flatnonzero((states[:, SHARE] > 1.0) & (ends > tick))
         if not rows.size:
             break
-        for period in range(numbers.periods):
+        for period in range(scenario.control_periods):
             requested = rows if period == 0 else rows[states[rows, SHARE] > 1.0]
             if not requested.size:
                 break
             seen = np.ascontiguousarray(states[requested, : USER.stop].T)
             commands = policy.commands(seen)
             requests.append(_Request(tick, requested, seen, commands))
-            _advance_all(numbers, tick, period, requested, commands, velocities, noise, states)
+            _advance_all(constants, scenario.road.line, tick, period, requested, commands, velocities, noise, states)
         found[rows, tick + 1] = states[rows]
         last[rows[states[rows, SHARE] <= 1.0]] = tick + 1
     _confirm(episodes, requests)
@@ -373,21 +370,13 @@ def _noise(episode: EpisodeSpec, ticks: int) -> FloatArray:
     return np.multiply((car.speed_noise, car.acceleration_noise), 2.0 * draws - 1.0)
 
 
-def _numbers(episode: EpisodeSpec) -> _Numbers:
+def _constants(episode: EpisodeSpec) -> FloatArray:
+    """Return what `_advance` reads of a scenario, in its order; a kernel takes an array sooner than a tuple."""
     scenario = episode.scenario
     car, limits = scenario.car, command_limits(scenario)
-    return _Numbers(
-        car.footprint,
-        scenario.adversary.reach,
-        scenario.time_step,
-        scenario.control_periods,
-        limits.least,
-        limits.greatest,
-        wheels(car),
-        scenario.road.line,
-        scenario.road.edges,
-        scenario.collision.minimum_impact_speed,
-    )
+    step, periods = scenario.time_step, scenario.control_periods
+    tracks = *wheels(car), *scenario.road.edges, scenario.collision.minimum_impact_speed
+    return np.array([*car.footprint, scenario.adversary.reach, step, periods, *limits, *tracks])
 
 
 def _made(episode: EpisodeSpec) -> UserController:
