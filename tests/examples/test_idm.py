@@ -11,7 +11,7 @@ import pytest
 from cars import idm as treiber
 from common import run_skd
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_idm import HighwayIdm
+from highway_idm import HighwayIdm, HighwayMobil, road_with, vehicle
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner, lane_left
@@ -24,7 +24,7 @@ from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState, Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Scene, Trajectory
 
 CROSSING = load_scenario("crossing")
 DESIRED = CROSSING.car.start_speed
@@ -87,6 +87,22 @@ def test_in_an_episode_it_stops_before_who_stands_on_the_lane():
     assert log.car[-1, 1] < 4.0 - scenario.car.front
 
 
+def test_it_changes_lanes_as_in_the_simulation_of_highway_env():
+    scenario, driver, user = load_scenario("oncoming_lane"), HighwayMobil(), AdversaryState(1.0, 0.0, 0.0, 0.0)
+    driver.reset(scenario, RNG)
+    road = road_with(scenario, [-1, 0])
+    ego = IDMVehicle(road, np.array([0.0, -60.0]), HEADING_NORTH, DESIRED, None, DESIRED)
+    road.vehicles = [ego, vehicle(road, user)]
+    for _ in range(200):
+        car = CarState(*ego.position.tolist(), ego.heading, ego.speed)
+        acceleration, curvature = driver.command(car, Scene(car, user))
+        road.act()
+        assert acceleration == ego.action["acceleration"]
+        assert math.atan(ego.LENGTH * curvature) == pytest.approx(ego.action["steering"], abs=1e-12)
+        road.step(driver.control_period)
+    assert ego.position[0] == pytest.approx(-3.5, abs=0.01)
+
+
 def test_a_road_with_curves_is_refused():
     with pytest.raises(UsageError, match="straight roads only; that of scenario right_turn has curves"):
         HighwayIdm().reset(load_scenario("right_turn"), RNG)
@@ -100,25 +116,26 @@ def met(scenario: str, car: str) -> EpisodeLog:
     phi = Trajectory(np.column_stack([np.minimum(-7.0 + 0.6 * np.arange(22), 5.0), np.zeros(22)]), 0.3)
     clocked = replace(load_scenario(scenario), control_period=0.05)
     generic = AdversaryModel.GENERIC
-    car = f"{FOLDER}/evasive.py:{car}"
+    car = f"{FOLDER}/{car}"
     return run_episode(EpisodeSpec(clocked, Mode.REPLAY, 0, 0, phi, controller=car, adversary_model=generic))
 
 
 @pytest.mark.parametrize(
     ("scenario", "car", "partner"),
     [
-        ("oncoming_lane", "Brakes", None),
-        ("oncoming_lane", "BrakesToOtherLane", None),
-        ("oncoming_traffic", "Brakes", None),
-        ("oncoming_traffic", "BrakesToOtherLane", 0),  # the car that comes
-        ("curve", "OtherLane", ROAD_EDGE),  # it takes every road for a straight one
-        ("parked_car", "Brakes", 0),
+        ("oncoming_lane", "evasive.py:Brakes", None),
+        ("oncoming_lane", "evasive.py:BrakesToOtherLane", None),
+        ("oncoming_traffic", "evasive.py:Brakes", None),
+        ("oncoming_traffic", "evasive.py:BrakesToOtherLane", 0),  # the car that comes
+        ("curve", "evasive.py:OtherLane", ROAD_EDGE),  # it takes every road for a straight one
+        ("parked_car", "evasive.py:Brakes", 0),
+        ("parked_car", "../idm/highway_idm.py:HighwayMobil", ROAD_EDGE),  # it wants wheels that turn at once
     ],
 )
 def test_what_becomes_of_a_car_that_evades(scenario: str, car: str, partner: int | None) -> None:
     log = met(scenario, car)
     assert collision_partner(log) == partner
-    assert (lane_left(log) > 0.5) == ("Lane" in car)
+    assert (lane_left(log) > 0.5) == (not car.endswith("Brakes"))
     assert examine(log).ours
 
 
