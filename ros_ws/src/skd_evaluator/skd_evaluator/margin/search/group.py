@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import IntArray
 
 from skd_evaluator.margin.search.candidates import ActionSpace, Candidate, changed, excursion
@@ -251,12 +251,24 @@ class Group:
 def search(groups: Sequence[Group], drive: Drive) -> None:
     """Search until each trial has been searched with as many candidates as its goal, and all offers were driven.
 
+    Many candidates differ only after the tick in which they are of no more use; these are driven once.
+
     Args:
         groups: what is searched; what can be driven at once is.
         drive: runs episodes.
     """
+    known: dict[tuple[int, bytes], EpisodeLog] = {}
     while any(group.is_open for group in groups):
         proposals = [(group, proposal) for group in groups for proposal in group.proposals()]
-        logs = drive([proposal.episode for _, proposal in proposals]) if proposals else ()
-        for (group, proposal), log in zip(proposals, logs, strict=True):
+        keys = [_driven(proposal.episode) for _, proposal in proposals]
+        new = [(key, one.episode) for key, (_, one) in zip(keys, proposals, strict=True) if key not in known]
+        if new:
+            known.update(zip((key for key, _ in new), drive([episode for _, episode in new]), strict=True))
+        for key, (group, proposal) in zip(keys, proposals, strict=True):
+            log = known[key] if known[key].outcome != Outcome.ABORTED else known.pop(key)  # it may not be again
             group.learn(proposal, log)
+
+
+def _driven(episode: EpisodeSpec) -> tuple[int, bytes]:
+    assert episode.safe_trajectory is not None
+    return episode.episode_id, episode.safe_trajectory.positions.tobytes()
