@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import names, one_line
-from common import assert_valid, wait_until
+from common import PATIENCE, assert_valid, wait_until
 from report_support import edit
 from skd_evaluator.assessment.files.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.assessment.files.verification import verify
@@ -140,12 +139,23 @@ def test_a_cell_that_fails_costs_no_other(here, skd_here, monkeypatch):
     assert [row["state"] for row in campaign(here)["cells"]] == ["done", "done"]
 
 
+WAITS = """
+import sys
+from skd_evaluator.extensions.campaign import campaign
+from skd_evaluator.start import skd
+
+campaign._FAREWELL = 10_000.0
+sys.exit(skd())
+"""
+"""`skd`, which would never end if it waited for a cell that has not begun."""
+
+
 @pytest.fixture
 def begun(here: Path) -> Iterator[subprocess.Popen[str]]:
     """A campaign that is at work, with some episodes stored."""
     write(here, "sweep: {seed: [0, 1]}", kamikaze_count=200, simulations=2000)
-    command = [sys.executable, "-m", "skd_evaluator", "campaign", "campaign.yaml", "--out", "out", "--workers", "1"]
-    process = subprocess.Popen(command, cwd=here, stderr=subprocess.PIPE, text=True, env={**os.environ})
+    command = [sys.executable, "-c", WAITS, "campaign", "campaign.yaml", "--out", "out", "--workers", "1"]
+    process = subprocess.Popen(command, cwd=here, stderr=subprocess.PIPE, text=True)
     wal = here / "out" / f"{FILE_NAME}-wal"
     wait_until(lambda: process.poll() is not None or (wal.exists() and wal.stat().st_size > 20_000))
     yield process
@@ -156,7 +166,7 @@ def begun(here: Path) -> Iterator[subprocess.Popen[str]]:
 def test_an_interrupted_campaign_says_how_to_go_on(here, begun, skd_here):
     one_line(skd_here("campaign", "campaign.yaml", "--out", "out", "--resume"), 2, "another campaign is running there")
     begun.send_signal(signal.SIGINT)
-    _, said = begun.communicate()
+    _, said = begun.communicate(timeout=PATIENCE)
     assert begun.returncode == 130, said
     first = said.splitlines()[-1]
     assert "interrupted; 0 of 2 cells done, and " in first

@@ -368,7 +368,7 @@ class Campaign:
             self._stop.set()
             runner.close(wait=False)
             pool.shutdown(wait=False, cancel_futures=True)
-            concurrent.futures.wait(running, _FAREWELL)
+            concurrent.futures.wait([one for one in running if not one.cancelled()], _FAREWELL)
             raise
         pool.shutdown()
         with self._lock:
