@@ -89,7 +89,7 @@ def test_who_plans_with_what() -> None:
 
 @pytest.fixture
 def small_lessons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(learning, "PROBES", 24)
+    monkeypatch.setattr(learning, "PROBES", 12)
     monkeypatch.setattr(learning, "TRIALS", 4)
     monkeypatch.setattr(learning, "WAITING_TRIALS", 2)
     monkeypatch.setattr(learning, "SAFE", 2)
@@ -103,7 +103,7 @@ def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lesso
         runner.start()
         first = learned(plan, runner, say=said.append)
         assert not needs_learning(first)
-        assert json.loads(first.car_model)["logs"] == 28
+        assert json.loads(first.car_model)["logs"] == 16
         file = model_file(plan, None)
         assert list(kept_models().iterdir()) == [file]
         assert "--adversary-model generic" in said[0]
@@ -133,5 +133,5 @@ class _Aborts:
 
 def test_a_car_that_cannot_be_run_cannot_be_learned(small_lessons: None) -> None:
     plan = Plan(CROSSING, controller=OWN, adversary_model=AdversaryModel.LEARNED)
-    with pytest.raises(AssessmentError, match=r"all 24 probes were aborted \(no licence\)"):
+    with pytest.raises(AssessmentError, match=r"all 12 probes were aborted \(no licence\)"):
         learned(plan, _Aborts())

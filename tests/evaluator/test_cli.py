@@ -13,7 +13,7 @@ import uuid
 from pathlib import Path
 
 import pytest
-from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd, skd_from_nothing, started
+from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd, started
 from common import PATIENCE, pids_with, wait_until
 from forked_skd import TOKEN
 from skd_evaluator.files import PREFIX
@@ -53,7 +53,7 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
 
 def test_user_controller_is_assessed(here):
     mine = ("--adversary-model", "generic", "--controller", "my_cars:Fine", "--safe", "good.csv", "--margin-limit", "0")
-    done = skd_from_nothing("assess", *SMALL, *mine, "--details", "--no-pictures", "--out", "out", cwd=here)
+    done = skd("assess", *SMALL, *mine, "--details", "--no-pictures", "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
     assert (result["controller"], result["multiplier"]) == ("my_cars:Fine", None)

@@ -44,7 +44,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Stor
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         patch.syspath_prepend(folder)
-        for name, seed, limit in (("deep", 1, 64), ("deep, other seed", 2, 64), ("shallow", 1, 1)):
+        for name, seed, limit in (("deep", 1, 32), ("deep, other seed", 2, 32), ("shallow", 1, 1)):
             asked = {"seed": seed, "margin_limit": limit, "behaviour": "none", "workers": 1}
             assess("memory_car:StoodStill", out=folder / name, **asked, **SMALL)
         yield {one.name: read_result(one) for one in folder.iterdir() if (one / "assessment.json").is_file()}

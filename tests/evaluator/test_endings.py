@@ -148,7 +148,7 @@ SMALL = (
 def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(tmp_path, capsys):
     """The search looks no further; it was said that the car answers it otherwise than an episode."""
     (tmp_path / "near.yaml").write_text("extends: crossing_multi_body\nname: near\neta_max: 0.3\n")
-    searched = ("--multiplier", 1.5, "--objective", "paper", "--margin-limit", 32)
+    searched = ("--multiplier", 1.5, "--objective", "paper", "--margin-limit", 8)
     scenario = ("--scenario", tmp_path / "near.yaml")
     assert run_skd("assess", *searched, *scenario, *SMALL, "--out", tmp_path / "near") == 0
     figures = json.loads((tmp_path / "near" / "assessment.json").read_text())

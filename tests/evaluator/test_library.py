@@ -9,7 +9,7 @@ from common import run_program, run_skd
 from skd_evaluator import AssessmentError, assess, load_result
 from skd_sim import UsageError
 
-SMALL = {"safe_count": 2, "kamikaze_count": 3, "collision_runs": 4, "simulations": 50, "seed": 3}
+SMALL = {"safe_count": 2, "kamikaze_count": 3, "collision_runs": 4, "simulations": 50, "seed": 3, "behaviour": "none"}
 WHEN_AND_WHERE = ("seconds", "provenance")
 
 

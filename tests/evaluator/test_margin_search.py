@@ -344,7 +344,7 @@ def test_no_hit_beyond_eta_max_counts():
 def test_along_the_lane_the_search_finds_the_exact_margin():
     """Where nobody crosses; the same law as a user's class is searched, not predictable."""
     few = {"scenario": "cpla", "safe": "regulatory", "safe_count": 2, "kamikaze_count": 2, "collision_runs": 2}
-    few |= {"simulations": 20, "adversary_model": "generic", "behaviour": "none"}
+    few |= {"simulations": 20, "adversary_model": "generic", "behaviour": "none", "margin_limit": 256}
     known, margins = (assess(car, **few).as_dict() for car in ("basic", "skd_sim.controllers.basic:BasicController"))
     assert known["margin_budget"] is None  # it is exact
     assert margins["margin_budget"] > 0

@@ -71,7 +71,7 @@ def test_margin_and_risk_by_whole_episodes(twin, tmp_path):
     quiet = replace(CROSSING, car=replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0))
     file = tmp_path / "quiet.yaml"
     file.write_text(json.dumps({**quiet.as_dict(), "name": "quiet"}))
-    small = {"safe_count": 2, "kamikaze_count": 2, "collision_runs": 4, "simulations": 200, "workers": 1}
+    small = {"safe_count": 2, "kamikaze_count": 2, "collision_runs": 4, "simulations": 50, "workers": 1}
     twin = {"scenario": str(file), "simulator": "twin", "objective": "deviation", **small}
     there = assess("basic", out=tmp_path / "there", **twin)
     again = assess("basic", warm_start=str(tmp_path / "there"), behaviour="none", **twin)

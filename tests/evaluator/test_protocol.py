@@ -58,7 +58,7 @@ def test_a_car_just_passes_and_another_just_fails(graded, series):
     """They brake by almost the same; who must not brake fails by braking more, who must by braking less."""
     false_reaction = series.points[0].criterion == Criterion.BRAKING
     fails, passes = (9.0, 0.0) if false_reaction else (0.0, 9.0)
-    for _ in range(18):
+    for _ in range(15):
         middle = 0.5 * (fails + passes)
         colour = graded(series, middle).colour
         fails, passes = (middle, passes) if colour == "red" else (fails, middle)

@@ -81,7 +81,7 @@ UNBRAKED = {
 @pytest.mark.parametrize("name", UNBRAKED)
 def test_unbraked_the_target_is_met_at_its_impact_place(name: str) -> None:
     speeds, time = UNBRAKED[name]
-    for kmh in speeds[::2]:
+    for kmh in (speeds[0], speeds[-1]):
         for one in static_tests_of(name, kmh):
             assert one.touched
             assert one.impact_place == pytest.approx(one.place, abs=1.0)
@@ -177,7 +177,7 @@ def test_a_target_that_brakes_is_met_where_two_parabolas_meet(name: str) -> None
     for kmh in (30, 130):
         speed = kmh * KMH
         for begins in (math.inf, 4.2):
-            times = np.arange(0.0, 12.0, 1e-4)
+            times = np.arange(0.0, 12.0, 1e-3)
             gaps = np.array([speed + driven(speed, 3.0, 4.0, t) - driven(speed, begins, 4.0, t) for t in times])
             reached = np.flatnonzero(gaps <= 0.0)
             for one in static_tests_of(name, kmh, begins=begins, deceleration=4.0):

@@ -76,12 +76,12 @@ def test_clearances_are_distances_of_polygons(shape):
 def test_the_least_clearance_lies_between_moments_too(shape):
     rng = np.random.default_rng(2)
     between = 0
-    for _ in range(SCENES):
+    for _ in range(SCENES // 2):
         scene = scene_at(rng, shape, rows=5)
-        dense = Interactions.of(scene).every(0.001).whole
+        dense = Interactions.of(scene).every(0.002).whole
         expected = distances(dense).min()
         found = least_clearance(scene)
-        assert expected - 0.01 <= found <= expected + 1e-6  # at 15 m/s a millisecond is 15 mm
+        assert expected - 0.02 <= found <= expected + 1e-6  # at 15 m/s, 2 ms are 30 mm, half of which to the nearer one
         between += found < clearances(scene).min() - 1e-6
     assert between > 10
 
@@ -238,8 +238,8 @@ def test_the_measures_of_an_episode():
 def test_episodes_together_are_what_they_are_alone(name):
     rng = np.random.default_rng(10)
     scenario = load_scenario(name)
-    courses, collided = [], rng.random(SCENES) < 0.3
-    for _ in range(SCENES):
+    courses, collided = [], rng.random(SCENES // 4) < 0.3
+    for _ in range(SCENES // 4):
         count = int(rng.integers(2, 9))
         times = np.cumsum(rng.uniform(0.1, 0.4, count))
         adversary = np.cumsum(rng.uniform(-0.6, 0.6, (count, 2)), axis=0) + rng.uniform(-4.0, 4.0, 2)

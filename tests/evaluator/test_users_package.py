@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_support import skd, skd_from_nothing
+from cli_support import skd
 
 DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 (TUTORIAL,) = re.findall(r"<!-- package -->\n```python\n(.*?)```", DOCUMENT, re.DOTALL)
@@ -50,7 +50,7 @@ def test_one_of_each(package: Path, tmp_path: Path):
         "--workers", "1", "--adversary-model", "generic", "--margin-limit", "16", "--behaviour",
         "none", "--no-pictures",
     )  # fmt: skip
-    done = skd_from_nothing("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
+    done = skd("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
     assert (result["controller"], result["multiplier"]) == ("careful", None)
