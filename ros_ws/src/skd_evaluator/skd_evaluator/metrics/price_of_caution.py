@@ -114,11 +114,6 @@ class PriceOfCaution:
         return [VALUES[name](one) for one in self.runs]
 
     @property
-    def deadlocks(self) -> int:
-        """Runs in which the car has not passed after `HORIZON`."""
-        return round(sum(self._of("deadlock")))
-
-    @property
     def lanes_left(self) -> tuple[float, float] | None:
         """In which share of the runs the car leaves its lane, and for how long, s; None: in none."""
         return lanes_left([one.lane_left for one in self.runs])

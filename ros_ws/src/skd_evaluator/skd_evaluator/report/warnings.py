@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from skd_sim.options.adversary import SKD_OBJECTIVES, first_of
+from skd_sim.options.adversary import SKD_OBJECTIVES, AdversaryModel, first_of
 from skd_sim.world.episode import counted_reasons
 
 from skd_evaluator.assessment.assessment import Assessment
@@ -71,7 +71,9 @@ def _of_margin(result: Result) -> Iterator[str]:
         yield f"the search for the margin {stopped_at(result)}: the margin may be less; {LONGER_SEARCH}"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
         rather = "judge the car by its margin, not by planned deviation or SKD"
-        yield f"{PLANNED} {close:.2f} times the margin: {rather}"
+        unseen = result["lane_left"] and result["adversary_model"] == AdversaryModel.GENERIC
+        sees = "; they do not see it leave its lane, unless by --adversary-model learned" if unseen else ""
+        yield f"{PLANNED} {close:.2f} times the margin: {rather}{sees}"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
     if impact and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE and trials - beyond >= _FEWEST:
         speeds = f"at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s"

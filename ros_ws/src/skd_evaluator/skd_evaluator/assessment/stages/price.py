@@ -86,7 +86,8 @@ def warnings(car: str, price: PriceOfCaution) -> tuple[str, ...]:
     """Return what a reader should know of the price of a user's car, a line each."""
     every = len(price.runs) + price.aborted
     lost = (f"{price.aborted} of {every} harmless runs were aborted: the price of caution is of the others",)
-    runs = f"{price.deadlocks} of {len(price.runs)} runs of {HORIZON:g} s"
+    deadlocks = round(price.mean("deadlock") * len(price.runs))
+    runs = f"{deadlocks} of {len(price.runs)} runs of {HORIZON:g} s"
     stuck = (f"{car} is often stuck: in {runs} it does not get past people who are not in its path",)
     return (*(lost if price.aborted else ()), *(stuck if price.does_not_get_past else ()))
 
@@ -115,12 +116,11 @@ def price_of_caution(plan: Plan, safe: Sequence[Trajectory], runner: Runner, cou
         for number, log in enumerate(undisturbed)
     ]
     harmless = _drive(runner, [_episode(plan, scenario, number, way) for number, way in enumerate(ways)])
-    pairs = [
-        (log, other)
+    runs = tuple(
+        _run(log, other)
         for log, other in zip(harmless, undisturbed, strict=True)
         if Outcome.ABORTED not in (log.outcome, other.outcome)
-    ]
-    runs = tuple(_run(log, other) for log, other in pairs)
+    )
     return PriceOfCaution(runs, count - len(runs)) if runs else None
 
 
