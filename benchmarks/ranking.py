@@ -42,7 +42,6 @@ from skd_adversary.adversary import warm_up_episodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.difference import Difference, difference
 from skd_sim.options.adversary import Objective
@@ -270,7 +269,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=3000, metavar="N", help="per car and manner (default 3000)")
     parser.add_argument("--safe-count", type=int, default=20, metavar="N", help="φ (default 20)")
     parser.add_argument("--trials", type=int, default=5, metavar="N", help="per φ (default 5)")
-    parser.add_argument("--limit", type=int, default=IN_PROCESS.limit, metavar="N", help="of the margin's search")
+    parser.add_argument("--limit", type=int, default=512, metavar="N", help="of the margin's search")
     parser.add_argument("--crossings", type=int, default=25, metavar="N", help="of the risk, per φ (default 25)")
     parser.add_argument("--figures", nargs="*", default=list(FIGURES), choices=tuple(FIGURES), metavar="NAME")
     parser.add_argument("--exceptions", nargs="*", default=["margin"], choices=tuple(FIGURES), metavar="NAME")

@@ -13,7 +13,6 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import minimal_deviations
 from skd_evaluator.assessment.stages.risk import crude_crossings
-from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.metrics.behaviour import WALKERS
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.deviation import deviation
@@ -52,7 +51,7 @@ class Work:
     trials: int
     seed: int
     runner: InProcessRunner
-    limit: int = IN_PROCESS.limit
+    limit: int = 512
     """Candidates that the margin's search may drive in a trial."""
     crossings: int = 25
     """Of the risk, on each φ: as many as in an assessment."""

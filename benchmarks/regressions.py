@@ -174,7 +174,7 @@ def warm(count: int) -> None:
     with versions(texts, 8) as (runner, made):
         rounds = in_processes(runner, lambda *_: None)
         trials = {text: one.plan.trials(one.safe, 4) for text, one in zip(texts, made, strict=True)}
-        cold = {text: search_margins(some, {}, rounds, IN_PROCESS) for text, some in trials.items()}
+        cold = {text: search_margins(some, {}, rounds, IN_PROCESS._replace(limit=512)) for text, some in trials.items()}
         for name, good, bad in used:
             pairs = zip(trials[bad], cold[good].episodes, strict=True)
             hits = [prescribed(one, hit.safe_trajectory.positions) for one, hit in pairs if hit is not None]

@@ -33,7 +33,7 @@ RECORDED = "bags"
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
 MOST_WORKERS = 1024
-DEFAULT_MARGIN_LIMIT = 512
+DEFAULT_MARGIN_LIMIT = 1024
 WALKERS, NO_BEHAVIOUR = behaviour.WALKERS, behaviour.NO_BEHAVIOUR
 GENERATED = (SYNTHETIC, OWN, WALKERS)
 """Sources of as many φ as are asked for."""

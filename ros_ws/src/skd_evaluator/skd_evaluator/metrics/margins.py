@@ -192,7 +192,7 @@ class Margins:
         return impact_figures(self.impact_speeds)
 
 
-LONGER_SEARCH = "double --margin-limit (default 512); the search ends sooner if it converges"
+LONGER_SEARCH = "double --margin-limit (default 1024); the search ends sooner if it converges"
 """What to do about a search that has not converged."""
 
 

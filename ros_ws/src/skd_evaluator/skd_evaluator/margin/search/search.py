@@ -52,7 +52,7 @@ class Effort(NamedTuple):
     """
 
     first: int = 16
-    limit: int = 512
+    limit: int = 1024
     excursions: int = 12
     deepens: bool = True
 
@@ -60,7 +60,7 @@ class Effort(NamedTuple):
 IN_PROCESS: Final = Effort()
 WARM_START: Final = Effort(first=2, excursions=2)
 """Of one whose earlier version has been searched; see `Earlier`."""
-WHOLE_EPISODES: Final = Effort(first=8, limit=64, excursions=2)
+WHOLE_EPISODES: Final = Effort(first=8, limit=128, excursions=2)
 """Of a stack behind the node graph."""
 HELD_COMMANDS: Final = Effort(first=4, limit=16, excursions=2, deepens=False)
 """Of one that does not answer each state: an episode may take as long as it simulates, and no hit is certain."""
