@@ -120,12 +120,8 @@ def test_interrupted(here, name, number, to_all, processes):
         "--kamikaze-count", "100000", "--adversary-model", "generic", "--controller", name,
         "--out", "../out", "--overwrite",
     ]  # fmt: skip
-    variables = {
-        **os.environ,
-        "PYTHONPATH": str(here),
-        "PYTHONDONTWRITEBYTECODE": "1",
-        TOKEN: (token := uuid.uuid4().hex),
-    }
+    token = uuid.uuid4().hex
+    variables = {**os.environ, "PYTHONPATH": str(here), "PYTHONDONTWRITEBYTECODE": "1", TOKEN: token}
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, cwd=here / "work", env=variables, start_new_session=True, **piped)
     try:

@@ -65,14 +65,6 @@ def test_is_a_pseudometric_that_ignores_translation(three, shift):
     assert discrete_frechet(p + move, q + move) == distance
 
 
-@settings(max_examples=100)
-@given(st.integers(1, 3).flatmap(lambda d: st.tuples(curves(d, 20), st.lists(curves(d, 20), min_size=1, max_size=19))))
-def test_batch_equals_single_bit_for_bit(case):
-    reference, others = case
-    batch = discrete_frechet_pairs(reference, others)
-    assert batch.tolist() == [discrete_frechet(reference, other) for other in others]
-
-
 def alike(rng: np.random.Generator, n: int, dimension: int, noise: float) -> np.ndarray:
     """Points along one path, at a speed of the curve's own: few cells of a table matter."""
     times = np.sort(rng.uniform(size=n))

@@ -2,7 +2,6 @@
 
 import json
 import sys
-import warnings
 
 import pytest
 from common import run_program, run_skd
@@ -40,39 +39,6 @@ def test_wrong_options_are_refused_in_one_line(tmp_path):
     (tmp_path / "there" / "file").write_text("")
     with pytest.raises((UsageError, AssessmentError), match="there"):
         assess("basic", out=tmp_path / "there", **SMALL)
-
-
-QUITTER = """
-import os
-
-class Car:  # it ends its process in one of the few episodes of QUITTED
-    def reset(self, scenario, rng):
-        if rng.random() < 0.05:
-            os._exit(3)
-
-    def command(self, car, adversary):
-        return 0.0
-"""
-QUITTED = {"objective": "paper", "safe_count": 1, "kamikaze_count": 1, "collision_runs": 8, "simulations": 20}
-QUITTED["adversary_model"] = "generic"
-ALONE = {"margin_limit": 0, "behaviour": "none", "workers": 1}
-
-
-def test_a_car_of_which_too_many_episodes_are_aborted_is_not_believed(tmp_path, monkeypatch):
-    """Who ends its process before it hits had a rate of 0 and no warning, and `skd assess` exit code 1."""
-    (tmp_path / "quitter.py").write_text(QUITTER)
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.warns(UserWarning, match="not credible: 1 of 10 episodes were aborted.* 5 %"):
-        found = assess("quitter:Car", out=tmp_path / "out", **QUITTED, **ALONE).as_dict()
-    stored = json.loads((tmp_path / "out" / "assessment.json").read_text())["warnings"]
-    assert [line for line in stored if line.startswith("not credible: ")] == [
-        line for line in found["warnings"] if "were aborted, more than" in line
-    ]
-    (line,) = [one for one in found["warnings"] if one.startswith("1 of 2 kamikazes of objective paper")]
-    assert "was aborted and counts for nothing" in line
-    with warnings.catch_warnings(record=True) as said:
-        allowed = assess("quitter:Car", max_aborted=100, **QUITTED, **ALONE)
-    assert not any("were aborted, more than" in str(one) for one in [*said, *allowed.warnings])
 
 
 THREADS = """

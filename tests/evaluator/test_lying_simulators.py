@@ -182,12 +182,15 @@ def test_who_says_that_it_repeats_itself_has_to():
 
 def test_one_that_ends_its_process_aborts_its_episodes_by_name():
     """With one worker as well: it is a process of its own."""
-    found = assess("basic", simulator="dies", margin_limit=0, max_aborted=100.0, **TINY)
+    with pytest.warns(UserWarning, match="not credible: 2 of 6 episodes were aborted, more than --max-aborted 5 %"):
+        found = assess("basic", simulator="dies", margin_limit=0, **TINY)
     assert len(found.reasons) == 2
     for one in found.reasons:
         assert kind_of(one) == AbortKind.ENDED
         assert "exit code 7" in one
         assert "simulator dies" in one
+    allowed = assess("basic", simulator="dies", margin_limit=0, max_aborted=100.0, **TINY)
+    assert not any("more than --max-aborted" in one for one in allowed.warnings)
 
 
 def test_one_that_fails_aborts_the_episode() -> None:

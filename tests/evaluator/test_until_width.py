@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_support import SMALL, skd
 from common import PATIENCE
 from scipy import stats
 from skd_evaluator.assessment.assessment import Assessment
@@ -102,14 +100,12 @@ def test_the_bounds_are_pococks(looks, bound):
     assert stats.norm.ppf(0.5 + nominal_confidence(looks) / 2.0) == pytest.approx(bound, abs=6e-4)
 
 
-def test_what_nobody_reads_is_written(here: Path) -> None:
+def test_what_nobody_reads_is_written(here: Path, sweep: Path) -> None:
     """The tables are printed before anything is written, as pictures take longer."""
-    small = (*SMALL, "--safe", "good.csv", "--no-pictures", "--margin-limit", "0")
-    assert skd("assess", *small, "--out", "first", cwd=here).returncode == 0
-    shutil.copytree(here / "first", here / "second")
     reading, writing = os.pipe()
     os.close(reading)
-    words = [sys.executable, "-m", "skd_evaluator", "compare", "first", "second", "--no-pictures", "--out", "c"]
+    cars = [sweep / "synthetic" / name for name in ("C_0.5", "C_1")]
+    words = [sys.executable, "-m", "skd_evaluator", "compare", *cars, "--no-pictures", "--out", "c"]
     done = subprocess.run(words, cwd=here, stdout=writing, stderr=subprocess.PIPE, timeout=PATIENCE, check=False)
     os.close(writing)
     assert (done.returncode, b"Traceback" in done.stderr) == (1, False)
