@@ -1,8 +1,10 @@
 """Results that tests of reports and pictures of episodes read: a small sweep, and one with names that are code."""
 
+import functools
 import json
+import operator
 import shutil
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,13 @@ def make_sweep(folder: Path) -> Path:
     return folder
 
 
-def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change assessment.json, and write the manifest anew, as a forger would."""
+def edit(folder: Path, changes: Mapping[str, Any]) -> None:
+    """Change entries of assessment.json, by their dotted names, and write the manifest anew, as a forger would."""
     path = folder / "assessment.json"
     figures = json.loads(path.read_text())
-    change(figures)
+    for name, value in changes.items():
+        *outer, last = (int(word) if word.isdecimal() else word for word in name.split("."))
+        functools.reduce(operator.getitem, outer, figures)[last] = value
     path.write_text(json.dumps(figures))
     write_manifests(folder)
 
@@ -29,6 +33,6 @@ def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
 def edited(source: Path, target: Path, **changes: Any) -> Path:
     """Copy an assessment, as older versions left it, and change entries of its assessment.json."""
     shutil.copytree(source, target)
-    edit(target, lambda figures: figures.update(changes))
+    edit(target, changes)
     (target / MANIFEST).unlink()
     return target

@@ -218,7 +218,7 @@ def test_a_damaged_store_or_result_is_said(here, skd_here):
     assert verify(here / "out").fine
     whole = (here / "out" / "basic-C1" / "episodes.npz").read_bytes()
     resume = ("campaign", "campaign.yaml", "--out", "out", "--resume", "--workers", "1")
-    edit(here / "out" / "basic-C1", lambda figures: figures.update(seconds=1))
+    edit(here / "out" / "basic-C1", {"seconds": 1})
     (problem,) = verify(here / "out").problems
     assert "cell basic-C1: assessment.json is not the file that the row is of" in problem
     one_line(skd_here(*resume), 2, "basic-C1/assessment.json: is not what was written", "--resume makes it again")

@@ -8,12 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from common import run_skd as run
 from skd_adversary.car_models.car_model_file import read_car_model
-from skd_evaluator.cli.main import main
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

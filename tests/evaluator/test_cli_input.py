@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from cli_support import CONTROLLERS, CROSSING, SMALL, edited, one_line, skd
+from common import run_skd
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.main import main
 from skd_evaluator.cli.parser import make_parser
 from skd_sim.errors import UsageError
 
@@ -43,13 +43,10 @@ WHOLE = ["--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"
     + [(option, "0") for option in WHOLE if option != "--seed"],
 )
 def test_bad_number(capsys, option, value):
-    with pytest.raises(SystemExit) as stop:
-        main(["assess", f"{option}={value}"])
-    assert stop.value.code == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert option in lines[0]
-    assert repr(value) in lines[0]
+    assert run_skd("assess", f"{option}={value}") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert option in line
+    assert repr(value) in line
 
 
 @pytest.mark.parametrize(
@@ -69,18 +66,9 @@ def test_bad_number(capsys, option, value):
     ],
 )
 def test_what_no_option_takes_is_said_before_any_work(capsys, words, said):
-    assert said in refusal(words, capsys)
-
-
-def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the line with which a command line is refused."""
-    try:
-        code = main(words)
-    except SystemExit as end:
-        code = end.code
-    assert code == 2
+    assert run_skd(*words) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    return line
+    assert said in line
 
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -134,3 +122,15 @@ def test_a_campaign_keeps_what_it_reads_and_can_be_resumed(skd_here: Run, here: 
         done = skd_here(*words, how)
         assert done.returncode == 0, done.stderr
         assert (here / "out" / "campaign.yaml").read_text() == text
+
+
+def test_a_gate_writes_over_nothing_that_the_command_reads(skd_here: Run, here: Path) -> None:
+    (here / "mine.yaml").write_text(SCENARIO)
+    (here / "link").symlink_to("mine.yaml")
+    for name in ("mine.yaml", "link"):
+        done = skd_here("assess", *SMALL, "--scenario", "mine.yaml", "--markdown", name, "--out", "out")
+        one_line(done, 2, f"--markdown {name}: is read by this command; give another file")
+        campaign = ("scenarios", "campaign", "mine.yaml", "--speeds", "20:20:10", "--overwrite", "--out", name)
+        one_line(skd_here(*campaign), 2, f"--out {name}: is read by this command; give another file")
+    assert (here / "mine.yaml").read_text() == SCENARIO
+    assert not (here / "out").exists()

@@ -46,18 +46,9 @@ def message_of(episode: Any) -> SimpleNamespace:
     """What a message of an episode says, by the table."""
     said = {one.name: one.plain(getattr(episode, one.name)) for one in options_of(EpisodeSpec) if one.name in FIELDS}
     points = [SimpleNamespace(x=x, y=y) for x, y in ACROSS.positions.tolist()]
-    return SimpleNamespace(
-        scenario=json.dumps(CROSSING.as_dict()),
-        public_scenario="",
-        mode=1,
-        seed=3,
-        episode_id=4,
-        safe_trajectory=points,
-        safe_trajectory_name="across",
-        safe_trajectory_time_step=CROSSING.time_step,
-        options="",
-        **said,
-    )
+    said |= {"scenario": json.dumps(CROSSING.as_dict()), "public_scenario": "", "mode": 1, "seed": 3, "episode_id": 4}
+    safe = {"safe_trajectory_name": "across", "safe_trajectory_time_step": CROSSING.time_step}
+    return SimpleNamespace(safe_trajectory=points, options="", **safe, **said)
 
 
 def test_an_episode_survives_its_message():

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import resource
 
 import pytest
 import yaml
@@ -17,6 +18,7 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
+SCENARIO = "name: mine\ndescription: mine\nextends: cpna-75\ncar:\n  start_speed: 5.0\n"
 
 
 def test_every_name_is_listed(skd_here):
@@ -41,8 +43,7 @@ def test_shown_ones_are_drawn(skd_here, here):
 
 
 def test_a_file_of_five_lines_is_checked(skd_here, here):
-    good = "name: mine\ndescription: mine\nextends: cpna-75\ncar:\n  start_speed: 5.0\n"
-    (here / "mine.yaml").write_text(good)
+    (here / "mine.yaml").write_text(SCENARIO)
     done = skd_here("scenarios", "check", "mine.yaml", "--out", "checked", "--json")
     assert done.returncode == 0, done.stderr
     (found,) = json.loads(done.stdout)["scenarios"]
@@ -104,3 +105,35 @@ def test_as_many_as_are_asked_for():
         safe_trajectories(Plan(scenario, safe="regulatory", safe_count=8), InProcessRunner(1))
     with pytest.raises(UsageError, match="scenario crossing has no section protocol"):
         safe_trajectories(Plan(load_scenario("crossing"), safe="regulatory", safe_count=1), InProcessRunner(1))
+
+
+@pytest.mark.parametrize("there", ["old", None])
+def test_a_full_disk_leaves_what_was_there(there, skd_here, here) -> None:
+    """The file had no byte left of the old one, nor of the new one."""
+    (here / "place").mkdir()
+    if there is not None:
+        (here / "place" / "c.yaml").write_text(there)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        words = ("campaign", "cpna", "--speeds", "20:20:10", "--out", "place/c.yaml", "--overwrite")
+        done = skd_here("scenarios", *words)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    one_line(done, 1, "--out place/c.yaml: nothing was written: File too large")
+    assert names(here / "place") == ([] if there is None else ["c.yaml"])
+    assert there is None or (here / "place" / "c.yaml").read_text() == there
+
+
+@pytest.mark.parametrize("name", ["cpna #2.yaml", "a: b.yaml", "two\nlines.yaml", "*a"])
+def test_a_campaign_is_of_the_file_that_was_named(name, skd_here, here) -> None:
+    """Of `cpna #2.yaml` YAML read `cpna`: SKD's own scenario was rated, and nobody was told."""
+    (here / name).write_text(SCENARIO)
+    done = skd_here("scenarios", "campaign", name, "cpna", "--speeds", "20:30:10", "--out", "c.yaml")
+    assert done.returncode == 0, done.stderr
+    text = (here / "c.yaml").read_text(encoding="utf-8")
+    assert yaml.safe_load(text)["scenarios"] == [{"scenario": name}, {"scenario": "cpna"}]
+    assert [line for line in text.splitlines() if line.startswith("#")] == text.splitlines()[:1]
+    assert "  - scenario: cpna\n" in text  # which needs no marks
+    cells = make_cells(read_campaign(here / "c.yaml"))
+    assert [one.plan.scenario.name for one in cells] == ["mine", "mine", "cpna", "cpna"]

@@ -1,9 +1,9 @@
-"""Results are what was written, as their manifest says, and `skd verify` computes their figures again."""
+"""Results are what was written, as their manifest says; `skd verify` computes them again; what cannot be is refused."""
 
 import hashlib
 import io
 import json
-from collections.abc import Callable
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,35 +14,28 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from report_support import edit
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
-from skd_evaluator.assessment.files.result_folder import MANIFEST
+from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.verification import verify
+from skd_evaluator.assessment.stages.risk import risk_request
+from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
 from skd_sim.errors import UsageError
 
-
-def at(figures: dict[str, Any], *path: Any) -> Any:
-    for word in path:
-        figures = figures[word]
-    return figures
-
-
-CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
-    "skd": lambda figures: figures.update(skd=9.9),
-    "contact_rate": lambda figures: figures.update(contact_rate=0.0 if figures["contact_rate"] else 0.5),
-    "margin": lambda figures: figures.update(margin=4.9),
-    "margin_ci95.0": lambda figures: at(figures, "margin_ci95").__setitem__(0, 0.01),
-    "objectives.paper.skd": lambda figures: figures["objectives"]["paper"].update(skd=9.9),
-    "vulnerability_curve.margins.points.20.probability": lambda figures: at(
-        figures, "vulnerability_curve", "margins", "points", 20
-    ).update(probability=0.123),
-    "per_safe_trajectory.1.name": lambda figures: figures["per_safe_trajectory"][1].update(name="another"),
-    "skd_ci95": lambda figures: figures.update(skd_ci95=None),
-    "clustering.skd.standard_error": lambda figures: at(figures, "clustering", "skd").update(standard_error=0.001),
+CHANGES: dict[str, Any] = {
+    "skd": 9.9,
+    "contact_rate": 0.123,
+    "margin": 4.9,
+    "margin_ci95.0": 0.01,
+    "objectives.paper.skd": 9.9,
+    "vulnerability_curve.margins.points.20.probability": 0.123,
+    "per_safe_trajectory.1.name": "another",
+    "skd_ci95": None,
+    "clustering.skd.standard_error": 0.001,
 }
 
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_figure_that_does_not_follow_from_the_episodes_is_named(result: Path, name: str) -> None:
-    edit(result, CHANGES[name])
+    edit(result, {name: CHANGES[name]})
     found = verify(result)
     assert not found.fine
     assert [line for line in found.contradict if line.startswith(f"{name} is ")], found.contradict
@@ -58,7 +51,7 @@ def test_verify_says_what_agrees_and_what_cannot_be_computed(result: Path, skd_h
     assert one["contradict"] == one["problems"] == []
     assert one["files"] == {}
     assert "margin_converged" in one["unknown"]
-    edit(result, CHANGES["skd"])
+    edit(result, {"skd": 9.9})
     done = skd_here("verify", str(result))
     assert done.returncode == 1
     assert "NOT FINE" in done.stdout
@@ -153,3 +146,55 @@ def test_whatever_is_damaged_in_episodes_is_refused_or_says_the_same(sweep: Path
         assert str(tmp_path) in str(error)  # noqa: PT017
         return
     assert kind == "value" or said_by(stored) == right
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("multiplier", "abc"),
+        ("eta_max", 0.0),
+        ("objectives.deviation.measures", None),
+        ("aborted_reasons", [1]),
+        ("scenario.car", None),
+    ],
+)
+@pytest.mark.parametrize("command", ["report", "compare"])
+def test_a_value_of_another_kind_is_said_in_one_line(result, sweep, skd_here, name, value, command):
+    edit(result, {name: value})
+    words = {
+        "report": ["report", result, "--out", "r.html"],
+        "compare": ["compare", sweep / "synthetic" / "C_0.5", result, "--out", "compared"],
+    }[command]
+    one_line(skd_here(*map(str, words)), 2, "assessment.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "said"),
+    [
+        ("impact_speed", slice(None), np.nan, "episodes.npz: a collision has no impact speed"),
+        ("positions", 40, np.nan, "a state is not finite"),
+        ("safe_index", -1, 9, "a φ that is not there"),
+    ],
+)
+def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, place, value, said):
+    with np.load(result / "episodes.npz") as file:
+        arrays = dict(file)
+    arrays[name][place] = value
+    np.savez(result / "episodes.npz", **arrays)
+    write_manifests(result)
+    one_line(skd_here("report", str(result), "--format", "png", "--out", "shown"), 2, said)
+
+
+def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
+    behaviour = tmp_path / "fitted" / "behaviour.yaml"
+    behaviour.parent.mkdir()
+    write_behaviour(behaviour, load_behaviour("walkers"))
+    write_manifests(behaviour.parent)
+    assert risk_request(str(behaviour.parent)).behaviour == load_behaviour("walkers")
+    text = behaviour.read_text()
+    behaviour.write_text(text.replace("value: 0.3\n", "value: 0.0\n"))
+    for source in (behaviour, behaviour.parent):
+        with pytest.raises(UsageError, match=r"behaviour\.yaml: is not what was written"):
+            risk_request(str(source))
+    shutil.copy(behaviour, tmp_path / "mine.yaml")
+    assert risk_request(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
