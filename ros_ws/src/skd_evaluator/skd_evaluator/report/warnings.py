@@ -71,7 +71,7 @@ def _of_margin(result: Result) -> Iterator[str]:
         yield f"the search for the margin {stopped_at(result)}: the margin may be less; {LONGER_SEARCH}"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
         rather = "judge the car by its margin, not by planned deviation or SKD"
-        unseen = result["lane_left"] and result["adversary_model"] == AdversaryModel.GENERIC
+        unseen = result.get("lane_left") and result["adversary_model"] == AdversaryModel.GENERIC
         sees = "; they do not see it leave its lane, unless by --adversary-model learned" if unseen else ""
         yield f"{PLANNED} {close:.2f} times the margin: {rather}{sees}"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
