@@ -24,9 +24,8 @@ def compile_planners(controller: str, dynamics: str) -> None:
     InProcessRunner(1).start(warm_up_episodes(controller, dynamics=dynamics))
 
 
-def compile_objective(objective: Objective, model: str) -> None:
-    """Compile the planners of an objective, against the basic car or a learned one, of which else nothing is known."""
-    car = "external" if model else "basic"
+def compile_objective(objective: Objective, model: str, car: str) -> None:
+    """Compile the planners of an objective, against a car of which a model may be known."""
     InProcessRunner(1).start(warm_up_episodes(car, objective=objective, car_model=model))
 
 
@@ -43,13 +42,16 @@ def compile_distances() -> None:
 
 def works() -> list[Callable[[], None]]:
     """Return what is to be compiled, in parts that have much in common with few others."""
-    planners = [(objective, model) for model in ("", *any_car_models()) for objective in DEFAULT_OBJECTIVES]
+    law, forest = any_car_models()
+    cars = (("", "basic"), (law, "basic"), (law, "external"), (forest, "external"))
+    planners = [(objective, *car) for car in cars for objective in DEFAULT_OBJECTIVES] + [(Objective.FRECHET, *cars[0])]
     return [
         compile_distances,
         *(partial(compile_planners, *car) for car in CARS),
         partial(compile_assessment),
         partial(compile_assessment, controller="cal", adversary_model="generic"),
         partial(compile_assessment, scenario="cyclist"),
+        partial(compile_assessment, scenario="child", objective="deviation"),
         *(partial(compile_objective, *one) for one in planners),
     ]
 

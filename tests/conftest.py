@@ -74,6 +74,15 @@ def skd_here(tmp_path, monkeypatch, capsys):
     return run
 
 
+@pytest.fixture(scope="session")
+def safe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a safe trajectory that needs no planner: straight across."""
+    folder = tmp_path_factory.mktemp("safe")
+    rows = [f"{0.3 * tick!r},{-3.5 + 0.75 * tick!r},0.0" for tick in range(9)]
+    (folder / "across.csv").write_text("t,x,y\n" + "\n".join(rows) + "\n")
+    return folder
+
+
 def _turn(item: pytest.Item) -> int:
     """Return the place of a test's file among those that are begun first."""
     places = (number for number, name in enumerate(_LONGEST) if item.path.is_relative_to(_HERE / name))

@@ -151,6 +151,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/test tests/exchange": "these tests themselves",
     r"scripts/exchange-readers": "needs the network, and takes 1 GB",
     r"scripts/skd .* roundabout_exit": "a package's: tests/examples/test_roundabout.py has it beside SKD",
+    r"scripts/skd compare .*--explain": "a search in vain: tests/evaluator/test_distinguishing_trial.py has one",
     r"scripts/skd fuse --calibrate": "a minute: tests/evaluator/test_fusion_trials.py has a smaller one",
     r"scripts/skd fit --people": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
     r"scripts/skd .*--simulator metadrive": "needs the extra metadrive: tests/sim/test_metadrive.py has smaller ones",
@@ -170,7 +171,7 @@ SMALLER = {  # what is put behind a command, so that it takes a second
     "probe": "--episodes 30 --workers 1",
 }
 QUICKER = {"drive": "-p rate_factor:=100"}  # of a command that writes no result
-MARGIN = ["--margin-limit", "16"]
+MARGIN = ["--margin-limit", "2"]
 NO_RISK = ["--behaviour", "none"]  # thousands of crossings, which of a user's car are driven one by one
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
 SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}

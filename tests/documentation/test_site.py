@@ -2,9 +2,7 @@
 
 import ast
 import html
-import os
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 
 import pytest
 from browser import chromium
+from common import run_program
 from packaging_support import PYTHON_PACKAGES, ROOT, SOURCE
 from skd_evaluator.cli.parser import commands_of, make_parser
 
@@ -22,13 +21,12 @@ PROGRAMS = {"cli", "nodes", "ros", "ros_environment"}  # what is run, and not im
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("documentation") / "site"
-    done = subprocess.run(
-        [ROOT / "scripts" / "docs", "build", "--strict", "--site-dir", folder],
-        env={**os.environ, "SKD_ENV": str(Path(sys.executable).parent), "NO_MKDOCS_2_WARNING": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    # Where there is a black, which leaves signatures as they are, ruff is not started for each of 700 of them.
+    black = "InvalidInput = Mode = dict\n\ndef format_str(text, mode):\n    return text\n"
+    (folder.parent / "black.py").write_text(black)
+    variables = {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": str(folder.parent)}
+    command = (ROOT / "scripts" / "docs", "build", "--strict", "--site-dir", folder)
+    done = run_program(*command, NO_MKDOCS_2_WARNING="1", **variables)
     assert done.returncode == 0, done.stderr
     assert "WARNING" not in done.stdout + done.stderr
     return folder
@@ -104,8 +102,8 @@ def browser() -> Iterator[Any]:
         yield opened
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(400, "light"), (1400, "dark")])
-def test_pages_in_a_browser(site: Path, browser: Any, width: int, scheme: str):
+@pytest.mark.parametrize(("width", "scheme", "opened"), [(400, "light", OPENED), (1400, "dark", OPENED[:3])])
+def test_pages_in_a_browser(site: Path, browser: Any, width: int, scheme: str, opened: tuple[str, ...]):
     """Nothing is fetched but the site's own files, nothing fails, nothing is wider than the window, all is drawn."""
     page = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme).new_page()
     said: list[str] = []
@@ -113,7 +111,7 @@ def test_pages_in_a_browser(site: Path, browser: Any, width: int, scheme: str):
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
-    for name in OPENED:
+    for name in opened:
         page.goto((site / f"{name}.html").as_uri())
         assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"), name
         assert page.evaluate("[...document.images].every(one => one.complete && one.naturalWidth > 0)"), name

@@ -15,9 +15,7 @@ from skd_evaluator.assessment.episode_figures import standing
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.checks import driving, repeatability
-from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import AssessmentError
@@ -29,7 +27,7 @@ from skd_sim.world.state import AdversaryState, CarState, Trajectory
 CROSSING = load_scenario("crossing")
 STARTS, LIMIT = CROSSING.car.start_speed, CROSSING.collision.hit_speed
 PLAN = Plan(CROSSING, safe_count=2, controller="a.b:C", simulations=20)
-PHI = safe_trajectories(Plan(CROSSING, safe_count=2), InProcessRunner(1))
+PHI = [Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.75), np.full(9, y)]), CROSSING.time_step) for y in (0.0, 0.5)]
 EPISODES = [
     *(PLAN.episode(Mode.KAMIKAZE, number % 2, number // 2, PHI[number % 2]) for number in range(4)),
     *(PLAN.episode(Mode.REPLAY, number % 2, number // 2, PHI[number % 2]) for number in range(20)),

@@ -7,7 +7,6 @@ means to change figures writes both anew, and says what changes: `python tests/g
 
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import warnings
@@ -133,15 +132,15 @@ def options_of(name: str, folder: Path) -> dict[str, Any]:
 
 def skd(*words: object) -> None:
     """Run a command in a process of its own, and in a domain of its own."""
-    from common import new_domain  # which `--write` does not need, and could not import
+    from common import PATIENCE, new_domain  # which `--write` does not need, and could not import
+    from forked_skd import ForkedSkd
 
     variables = {
         "PYTHONPATH": str(HERE),
         "ROS_DOMAIN_ID": str(new_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
-    command = [sys.executable, "-m", "skd_evaluator", *map(str, words)]
-    done = subprocess.run(command, env={**os.environ, **variables}, capture_output=True, text=True, check=False)
+    done = ForkedSkd([*map(str, words)], cwd=Path.cwd(), environment={**os.environ, **variables}).finish(PATIENCE)
     assert done.returncode == 0, done.stderr
 
 

@@ -90,15 +90,6 @@ def small_lesson(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(scope="session")
-def safe(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a safe trajectory that needs no planner: straight across."""
-    folder = tmp_path_factory.mktemp("safe")
-    rows = [f"{0.3 * tick!r},{-3.5 + 0.75 * tick!r},0.0" for tick in range(9)]
-    (folder / "across.csv").write_text("t,x,y\n" + "\n".join(rows) + "\n")
-    return folder
-
-
-@pytest.fixture(scope="session")
 def plan(safe: Path) -> Plan:
     return Plan(load_scenario("crossing"), safe=str(safe), safe_count=1, simulations=SIMULATIONS)
 

@@ -32,7 +32,7 @@ from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 
 def episodes(name: str, objective: Objective) -> list[EpisodeSpec]:
-    """Six trials of each mode at each of two multipliers."""
+    """Four trials of each mode at each of two multipliers."""
     scenario = load_scenario(name)
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     return [
@@ -41,7 +41,7 @@ def episodes(name: str, objective: Objective) -> list[EpisodeSpec]:
         )
         for multiplier in MULTIPLIERS
         for mode in Mode
-        for trial in range(6)
+        for trial in range(4)
     ]
 
 

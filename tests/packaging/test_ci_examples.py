@@ -49,7 +49,8 @@ def rate(folder: Path, **inputs: str) -> tuple[subprocess.CompletedProcess[str],
 def test_the_action_rates_a_class_and_fails_by_its_gate(tmp_path):
     """With all outputs that it promises, also where it fails."""
     (tmp_path / "my_car.py").write_text(CAR)
-    few = "--safe-count 1 --kamikaze-count 1 --collision-runs 1 --adversary-model generic --margin-limit 4 --seed '0'"
+    few = "--safe-count 1 --kamikaze-count 1 --collision-runs 1 --adversary-model generic --margin-limit 1 --seed '0'"
+    few += " --behaviour none --no-pictures"
     done, outputs = rate(tmp_path, controller="my_car:Car", gate="--fail-above skd=0.01", options=few, out="result")
     assert done.returncode == 1, done.stderr
     assert set(outputs) == set(ACTION["outputs"])

@@ -13,12 +13,7 @@ from common import run_program
 from packaging_support import NODES, ROOT, SOURCE, STEERING, settings
 from skd_evaluator.ros.launch_support import _PACKAGES, arguments_of, text_of, values_and_nodes
 
-DOCUMENTS = sorted(
-    path
-    for path in ROOT.rglob("*.md")
-    if not {".venv", ".git", "build", "install", "node_modules"} & set(path.relative_to(ROOT).parts)
-    and not any(part.startswith(".venv") for part in path.relative_to(ROOT).parts)
-)
+DOCUMENTS = [ROOT / name for name in run_program("git", "ls-files", "*.md", cwd=ROOT).stdout.splitlines()]
 
 
 def anchors(text: str) -> set[str]:
