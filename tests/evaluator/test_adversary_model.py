@@ -16,15 +16,7 @@ from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
-from skd_evaluator.assessment.stages.car_model import (
-    CHOICES,
-    WAITING_TRIALS,
-    kept_models,
-    learned,
-    model_file,
-    needs_learning,
-    with_waiting_reward,
-)
+from skd_evaluator.assessment.stages.car_model import CHOICES, kept_models, learned, model_file, needs_learning
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
@@ -176,7 +168,7 @@ class Played:
 
 def chosen(strayed: Mapping[float, Sequence[float]], car: FittedCar = FOREST) -> tuple[float | None, Played]:
     runner = Played(strayed)
-    return with_waiting_reward(PLAN, car, [STANDS], runner, lambda *_told: None)[0].waiting_reward, runner
+    return learning.with_waiting_reward(PLAN, car, [STANDS], runner, lambda *_told: None)[0].waiting_reward, runner
 
 
 @pytest.mark.parametrize("best", CHOICES)
@@ -193,7 +185,7 @@ def test_the_least_mean_deviation_is_chosen_and_a_miss_counts_as_the_greatest(be
 def test_trials_that_are_aborted_do_not_count_unless_all_are() -> None:
     reward, _ = chosen({USUAL: [0.0, math.nan], **{one: [1.0, math.nan] for one in OTHERS}})
     assert reward == OTHERS[0]
-    with pytest.raises(AssessmentError, match=f"all {WAITING_TRIALS} waiting trials were aborted"):
+    with pytest.raises(AssessmentError, match=f"all {learning.WAITING_TRIALS} waiting trials were aborted"):
         chosen({one: [math.nan] for one in CHOICES})
 
 

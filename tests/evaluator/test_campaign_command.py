@@ -249,7 +249,6 @@ def test_what_a_folder_may_be(here, skd_here):
     assert not (here / "x").exists()
 
 
-SIZES_RESUMED = "safe_count: 1, kamikaze_count: 1, collision_runs: 1, simulations: 10, margin_limit: 0, behaviour: none"
 CAR = """
 from pathlib import Path
 from the_law import decide
@@ -270,8 +269,8 @@ def test_another_car_behind_the_same_module_is_refused(here, monkeypatch, name, 
     (here / "the_law.py").write_text("def decide(gain): return -gain\n")
     (here / "weights.bin").write_text("1")
     (here / "nets").mkdir()
-    (here / "cars.yaml").write_text(f"defaults: {{{SIZES_RESUMED}}}\ncars: [{{controller: 'read_car:Car'}}]\n")
-    combinations = read_campaign(here / "cars.yaml")
+    write(here, "cars: [{controller: 'read_car:Car'}]", adversary_model="generic")
+    combinations = read_campaign(here / "campaign.yaml")
     cells = make_cells(combinations)
     CampaignFolder(here / "out", cells).close()
     CampaignFolder(here / "out", cells, resume=True).close()

@@ -98,7 +98,6 @@ def test_sweep(here):
         low, high = row["skd_ci95_pairs"]
         first = rf"^ *{row['multiplier']:.3f} +{row['margin']:.3f} "
         assert re.search(rf"{first}.* {row['skd']:.2f} ± {0.5 * (high - low):.2f}", done.stdout, re.MULTILINE)
-    assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")

@@ -34,13 +34,8 @@ def test_cars_are_compared(skd_here, here, sweep):
     one, two = (sweep / "synthetic" / name for name in ("C_0.5", "C_1"))
     compared = skd_here("compare", one, two, "--out", "both")
     assert (compared.returncode, compared.stderr) == (0, "")
-    assert names(here / "both") == [
-        "comparison.json",
-        "manifest.sha256",
-        "price.png",
-        "rating.png",
-        "vulnerability.png",
-    ]
+    pictures = ["price.png", "rating.png", "vulnerability.png"]
+    assert names(here / "both") == ["comparison.json", "manifest.sha256", *pictures]
     rows, figures = content(here / "both" / "comparison.json")["rows"], content(one / "assessment.json")
     assert [row["car"] for row in rows] == ["basic, C = 0.5", "basic, C = 1"]
     for name in ("margin", "deviation", "adversary_model"):

@@ -1,4 +1,4 @@
-"""Cars that decide more often than the adversary: the closed loop by all its pacings, its floor and its recordings."""
+"""Cars that decide more often than the adversary: the closed loop by all its pacings, its recordings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +9,6 @@ from search_support import CROSSING, kamikaze_episode
 from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import check_controller
-from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
@@ -122,8 +121,3 @@ def test_it_is_not_run_at_other_times_than_it_declares() -> None:
         with pytest.raises(UsageError, match=r"every 0\.1 s, but in scenario crossing a car does so every 0\.3 s"):
             run_episode(replace(episode_of("basic", mode=Mode.REPLAY), scenario=CROSSING), one)
         assert run_episode(episode_of("basic", mode=Mode.REPLAY), one).outcome != Outcome.ABORTED
-
-
-def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:
-    with pytest.raises(ValueError, match="more often than once a tick"):
-        exact_margin(episode_of("basic"))

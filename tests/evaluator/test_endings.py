@@ -140,8 +140,7 @@ def test_a_car_that_brakes_for_the_adversary_alone_runs_into_the_car_ahead(tmp_p
 
 SMALL = (
     *("--adversary-model", "generic", "--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2),
-    *("--simulations", 20),
-    *("--workers", 1, "--behaviour", "none", "--no-pictures", "--quiet", "--seed", 1),
+    *("--simulations", 20, "--workers", 1, "--behaviour", "none", "--no-pictures", "--quiet", "--seed", 1),
 )
 
 

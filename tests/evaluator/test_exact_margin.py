@@ -231,5 +231,7 @@ def test_only_what_is_predictable_has_an_exact_margin():
         exact_margin(replace(episode, scenario=replace(CROSSING, car=car)))
     with pytest.raises(ValueError, match="cyclist"):
         exact_margin(replace(episode, scenario=load_scenario("cyclist")))
+    with pytest.raises(ValueError, match="more often than once a tick"):
+        exact_margin(replace(episode, scenario=replace(CROSSING, control_period=0.1)))
     with pytest.raises(ValueError, match="SAFE"):
         exact_margin(replace(episode, mode=Mode.SAFE))

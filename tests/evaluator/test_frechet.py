@@ -1,11 +1,12 @@
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.metrics.frechet import discrete_frechet, discrete_frechet_pairs
+from skd_evaluator.metrics.frechet import discrete_frechet, discrete_frechet_pairs, warped_distance
 
 GOOD = [[0.0, 0.0], [1.0, 1.0]]
 
@@ -102,3 +103,41 @@ def test_bad_curves_are_refused_by_name(bad, message):
         discrete_frechet_pairs(bad, [GOOD])
     with pytest.raises(ValueError, match=r"others\[1\]"):
         discrete_frechet_pairs(GOOD, [GOOD, bad])
+
+
+Coupling = tuple[tuple[int, int], ...]
+CURVES = st.integers(1, 5).flatmap(
+    lambda count: hnp.arrays(np.float64, (count, 2), elements=st.floats(-10.0, 10.0, width=32))
+)
+
+
+def couplings(n: int, m: int) -> Iterator[Coupling]:
+    """Every way from the first points to the last by steps in one, in the other or in both."""
+    if (n, m) == (1, 1):
+        yield ((0, 0),)
+    for di, dj in ((1, 0), (0, 1), (1, 1)):
+        if n - di >= 1 and m - dj >= 1:
+            for before in couplings(n - di, m - dj):
+                yield (*before, (n - 1, m - 1))
+
+
+def by_definition(phi: np.ndarray, psi: np.ndarray) -> float:
+    sums = []
+    for coupling in couplings(len(phi), len(psi)):
+        previous = (-1, -1)
+        total = 0.0
+        for i, j in coupling:
+            weight = (i - previous[0]) + (j - previous[1])
+            total += weight * float(np.linalg.norm(phi[i] - psi[j]))
+            previous = (i, j)
+        sums.append(total)
+    return min(sums) / (len(phi) + len(psi))
+
+
+@settings(max_examples=150)
+@given(CURVES, CURVES)
+def test_the_warped_distance_is_the_least_over_all_couplings(phi: np.ndarray, psi: np.ndarray):
+    found = warped_distance(phi, psi)
+    assert found == pytest.approx(by_definition(phi, psi), rel=1e-12, abs=1e-12)
+    assert found == pytest.approx(warped_distance(psi, phi), rel=1e-12, abs=1e-12)
+    assert warped_distance(phi, phi) == 0.0

@@ -85,10 +85,8 @@ def test_a_false_reaction_is_at_most_as_far_as_in_its_example(paragraph, first, 
 
     def seen(s: float) -> tuple[float, float, bool]:
         x, y, heading = road_pose(scenario.road.line, s)
-        ahead, left = (
-            np.array([math.cos(heading), math.sin(heading)]),
-            np.array([-math.sin(heading), math.cos(heading)]),
-        )
+        cos, sin = math.cos(heading), math.sin(heading)
+        ahead, left = np.array([cos, sin]), np.array([-sin, cos])
         nearest = float(((corners - (x, y)) @ ahead).min()) - car.front
         places = (corners if paragraph == "1.2" else centre[None]) - (x, y)
         return nearest / car.start_speed, float((places @ left).min()), bool((places @ left).max() < -car.half_width)

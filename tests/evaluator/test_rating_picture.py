@@ -1,6 +1,5 @@
 """The picture of a rating, and tables of many cars."""
 
-import dataclasses
 import json
 from dataclasses import replace
 
@@ -82,10 +81,10 @@ def test_a_car_has_one_colour_in_every_chart(sweep, turned):
 def subjects(sweep) -> list[Subject]:
     """Two cars in two scenarios: the second scenario is the first by another name."""
     here = read_subjects([sweep])
-    scenario = dataclasses.replace(here[0].scenario, name="there")
-    plans = [dataclasses.replace(one.assessment.plan, scenario=scenario) for one in here]
+    scenario = replace(here[0].scenario, name="there")
+    plans = [replace(one.assessment.plan, scenario=scenario) for one in here]
     there = [
-        dataclasses.replace(one, label=f"{one.label} there", assessment=dataclasses.replace(one.assessment, plan=plan))
+        replace(one, label=f"{one.label} there", assessment=replace(one.assessment, plan=plan))
         for one, plan in zip(here, plans, strict=True)
     ]
     return [one for pair in zip(here, there, strict=True) for one in pair]

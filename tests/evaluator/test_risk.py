@@ -220,8 +220,6 @@ def test_the_command_reports_it_and_leaves_everything_else_alone(skd_here, here)
 
 
 FOOTPRINT, RADIUS, HIT_SPEED = (2.25, 2.25, 0.9), 0.25, 0.556
-
-
 FRONT, ELSEWHERE, NO_HIT = 1, 2, 3
 
 

@@ -1,13 +1,8 @@
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 from scipy import stats
-from skd_evaluator.metrics.frechet import warped_distance
 from skd_evaluator.metrics.skd import bound_interval, compute_skd
 from skd_evaluator.metrics.statistics import frechet_probability_bound
 from skd_sim.errors import UsageError
@@ -80,41 +75,3 @@ def test_the_interval_of_the_bound_is_that_of_the_jackknife_over_safe_trajectori
     assert bound(groups) - low > high - bound(groups)  # distances are skewed to the right, the bound to the left
     assert high - bound(groups) == pytest.approx(stats.t.ppf(0.95, freedom) * error, rel=0.03)
     assert bound_interval(groups[:1], 0.5) is None
-
-
-Coupling = tuple[tuple[int, int], ...]
-CURVES = st.integers(1, 5).flatmap(
-    lambda count: arrays.arrays(np.float64, (count, 2), elements=st.floats(-10.0, 10.0, width=32))
-)
-
-
-def couplings(n: int, m: int) -> Iterator[Coupling]:
-    """Every way from the first points to the last by steps in one, in the other or in both."""
-    if (n, m) == (1, 1):
-        yield ((0, 0),)
-    for di, dj in ((1, 0), (0, 1), (1, 1)):
-        if n - di >= 1 and m - dj >= 1:
-            for before in couplings(n - di, m - dj):
-                yield (*before, (n - 1, m - 1))
-
-
-def by_definition(phi: np.ndarray, psi: np.ndarray) -> float:
-    sums = []
-    for coupling in couplings(len(phi), len(psi)):
-        previous = (-1, -1)
-        total = 0.0
-        for i, j in coupling:
-            weight = (i - previous[0]) + (j - previous[1])
-            total += weight * float(np.linalg.norm(phi[i] - psi[j]))
-            previous = (i, j)
-        sums.append(total)
-    return min(sums) / (len(phi) + len(psi))
-
-
-@settings(max_examples=150, deadline=None)
-@given(CURVES, CURVES)
-def test_it_is_the_least_over_all_couplings(phi: np.ndarray, psi: np.ndarray):
-    found = warped_distance(phi, psi)
-    assert found == pytest.approx(by_definition(phi, psi), rel=1e-12, abs=1e-12)
-    assert found == pytest.approx(warped_distance(psi, phi), rel=1e-12, abs=1e-12)
-    assert warped_distance(phi, phi) == 0.0

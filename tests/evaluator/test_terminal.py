@@ -11,7 +11,7 @@ from cli_support import SMALL, names, one_line, skd_from_nothing
 from rich.table import Table
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, FIGURES, OF_OBJECTIVES, OF_PHI, Of, shown_in
 from skd_evaluator.assessment.files.assessment_json import assessment_schema
-from skd_evaluator.assessment.files.results import StoredResult, read_result
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.report.tables import equal_remarks
 from skd_evaluator.report.terminal import narrow_table, print_table
 
@@ -105,13 +105,8 @@ def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
 MEASURE = Path(__file__).parents[2] / "docs" / "metrics.md"
 
 
-@pytest.fixture(scope="module")
-def result(sweep: Path) -> StoredResult:
-    return read_result(sweep / "synthetic" / "C_1")
-
-
-def test_a_result_has_the_rows_of_the_table_and_no_others(result):
-    figures = result.figures
+def test_a_result_has_the_rows_of_the_table_and_no_others(sweep):
+    figures = json.loads((sweep / "synthetic" / "C_1" / "assessment.json").read_text())
     rows = [key for one in AT_THE_TOP.values() for key in one.keys if not one.optional or key in figures]
     assert list(figures) == rows
     for objective in figures["objectives"].values():
@@ -135,10 +130,10 @@ def test_the_schema_says_what_every_key_is():
     assert list(without_description(assessment_schema(), "")) == []
 
 
-def test_what_is_shown_to_people_has_a_name_and_a_figure_behind_it(result):
+def test_what_is_shown_to_people_has_a_name_and_a_figure_behind_it(sweep):
     for output in ("summary", "details", "chart"):
         assert all(one.label and one.key in AT_THE_TOP for one in shown_in(output))
-    assert {one.key for one in shown_in("difference")} <= set(result.groups)
+    assert {one.key for one in shown_in("difference")} <= set(read_result(sweep / "synthetic" / "C_1").groups)
 
 
 def test_the_documents_name_the_first_figures_and_which_way_is_better():
