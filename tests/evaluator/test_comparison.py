@@ -320,6 +320,7 @@ def test_a_car_that_is_hit_much_harder_is_not_called_safer(faster, share, same, 
     for found, plain in ((compare(*pair), SAFER), (compare(*pair[::-1]), LESS_SAFE)):
         assert found.verdict == (INCONCLUSIVE if withheld else plain)
         assert any("of the impacts of b are harder by more than 2 m/s" in line for line in found.lines()) == withheld
+    assert compare(pair[0], result("c", values(2, 10))).harder == 0.0  # a car of which no impact is known
 
 
 def test_an_upper_bound_of_a_car_that_does_not_get_past_is_no_safety() -> None:

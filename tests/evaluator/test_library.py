@@ -5,7 +5,7 @@ import sys
 
 import pytest
 from common import run_program, run_skd
-from skd_evaluator import AssessmentError, assess, load_result
+from skd_evaluator import AssessmentError, assess, library, load_result
 from skd_sim import UsageError
 
 SMALL = {"safe_count": 2, "kamikaze_count": 3, "collision_runs": 4, "simulations": 50, "seed": 3, "behaviour": "none"}
@@ -39,6 +39,19 @@ def test_wrong_options_are_refused_in_one_line(tmp_path):
     (tmp_path / "there" / "file").write_text("")
     with pytest.raises((UsageError, AssessmentError), match="there"):
         assess("basic", out=tmp_path / "there", **SMALL)
+
+
+def test_an_assessment_that_fails_lets_go_of_its_folder(tmp_path, monkeypatch):
+    def fail(*_):
+        raise AssessmentError("the car failed")
+
+    monkeypatch.setattr(library, "assess_in_process", fail)
+    with pytest.raises(AssessmentError) as first:  # which holds all frames of the call
+        assess("basic", out=tmp_path / "out")
+    with pytest.raises(AssessmentError, match="the car failed"):
+        assess("basic", out=tmp_path / "out")
+    assert first.value
+    assert not (tmp_path / "out").exists()
 
 
 THREADS = """

@@ -23,6 +23,9 @@ class _Car:
 
 class Raises(_Car):
     def late(self): return 1 / 0
+class RaisesLate(_Car):
+    "Stands until a harmless run has become longer than any crossing."
+    def late(self): return -1 / (self.calls < 60)
 class Exits(_Car):
     def late(self): os._exit(0)
 class Crashes(_Car):
@@ -96,6 +99,15 @@ def test_a_controller_that_fails_ends_the_assessment_in_one_line(
 ) -> None:
     one_line(skd(*words(name), cwd=cars), code, name, *parts)
     assert not (cars / "out").exists()
+
+
+def test_a_controller_that_fails_in_one_stage_keeps_its_other_figures_and_is_not_credible(cars: Path) -> None:
+    done = skd(*words("RaisesLate", "--json"), cwd=cars)
+    figures = json.loads(done.stdout)
+    assert "ZeroDivisionError" in figures["price_note"]
+    assert figures["nominal_collision_rate"] is not None
+    assert done.returncode == 1
+    assert "not credible: controller cars:RaisesLate: command failed with ZeroDivisionError" in done.stderr
 
 
 def test_a_controller_that_hangs_ends_the_assessment_in_one_line(cars: Path) -> None:

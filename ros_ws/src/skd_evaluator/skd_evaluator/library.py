@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import warnings
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -97,25 +98,28 @@ def assess(
         plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
         objectives = objectives_named(values["objective"])
         risk = risk_request(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
-        folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
-        runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
-        context = Context(
-            runner,
-            runner,
-            objectives,
-            values["margin_limit"],
-            values["curve"],
-            values["reference"],
-            risk=risk,
-            progress=progress or silent,
-            fresh=fresh_process,
-            earlier=load_result(values["warm_start"]) if values["warm_start"] else None,
-        )
-        assessment = assess_in_process(context, Assessment(plan, provenance=origin))
-        seconds, failed = time.perf_counter() - begin, with_failures(assessment, values["max_aborted"] / 100.0)
-        assessment = replace(failed, seconds=seconds)
-        if folder is not None:
-            folder.write(lambda where: fill(where, assessment))
+        with ExitStack() as stack:
+            folder = None
+            if out is not None:
+                folder = stack.enter_context(closing(ResultFolder(Path(out).expanduser(), overwrite=False)))
+            runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
+            context = Context(
+                runner,
+                runner,
+                objectives,
+                values["margin_limit"],
+                values["curve"],
+                values["reference"],
+                risk=risk,
+                progress=progress or silent,
+                fresh=fresh_process,
+                earlier=load_result(values["warm_start"]) if values["warm_start"] else None,
+            )
+            assessment = assess_in_process(context, Assessment(plan, provenance=origin))
+            seconds, failed = time.perf_counter() - begin, with_failures(assessment, values["max_aborted"] / 100.0)
+            assessment = replace(failed, seconds=seconds)
+            if folder is not None:
+                folder.write(lambda where: fill(where, assessment))
     said = [*not_credible(assessment.warnings), *why_failed(assessment, 1.0), *aborted_lines(assessment.as_dict())]
     for line in dict.fromkeys(said):
         warnings.warn(line, stacklevel=2)

@@ -16,7 +16,8 @@ from skd_sim.world.state import FloatArray, Trajectory
 from skd_evaluator.assessment.episode_figures import Surrogates, lane_left, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, Of, entries, figures_html
 from skd_evaluator.assessment.plan import Plan, split_episode_id
-from skd_evaluator.metrics.aborted import not_credible
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.clustered import GroupedMean, GroupedRate
 from skd_evaluator.metrics.deviation import deviation_pairs, mean_deviation
 from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins, ReferenceMargin, optimality_gap
@@ -379,6 +380,15 @@ class Assessment:
     def lanes_left(self) -> tuple[float, float] | None:
         """In which share of the runs along φ the car leaves its lane, and for how long, s; None: in none."""
         return lanes_left([*map(lane_left, self.nominal_runs)])
+
+    def failed(self, error: AssessmentError, **notes: Any) -> Assessment:
+        """Return the assessment of a car that failed in a stage; its other figures stay, beside a warning.
+
+        Args:
+            error: how it failed.
+            notes: fields that say which figure is not known for it.
+        """
+        return replace(self, warnings=tuple(dict.fromkeys((*self.warnings, f"{NOT_CREDIBLE}{error}"))), **notes)
 
     @property
     def credible(self) -> bool:

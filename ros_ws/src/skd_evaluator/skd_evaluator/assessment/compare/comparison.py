@@ -281,8 +281,10 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
         differences[MARGIN] = differences[MARGIN].widened(below=ends[1], above=ends[0])
     prices = price_differences(first.figures, second.figures, confidence)
     price = prices.pop("late", None)
-    speeds = [_of(one, IMPACT, rows) if IMPACT in one.groups else [] for one, rows in ((first, ours), (second, theirs))]
-    more, less = harder(*speeds, same=same), harder(*speeds[::-1], same=same)
+    more = less = 0.0
+    if all(IMPACT in one.groups for one in (first, second)):
+        speeds = _of(first, IMPACT, ours), _of(second, IMPACT, theirs)
+        more, less = harder(*speeds, same=same), harder(*speeds[::-1], same=same)
     held = Comparison(
         first, second, differences | prices, (len(ours), len(theirs)), (), unlike, (), price, more or -less
     )

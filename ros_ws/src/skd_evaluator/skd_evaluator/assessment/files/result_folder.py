@@ -82,6 +82,10 @@ class ResultFolder:
         self._replaces = _holds_something(self._target)
         self._give_back = weakref.finalize(self, _give_back, self._descriptor, made, os.getpid())
 
+    def close(self) -> None:
+        """Let go of the folder, and remove it if nothing was written."""
+        self._give_back()
+
     @contextmanager
     def scratch(self) -> Iterator[Scratch]:
         """Yield a temporary folder on the same file system for what grows during the work; gone afterwards.

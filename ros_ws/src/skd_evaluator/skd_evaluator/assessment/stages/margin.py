@@ -258,8 +258,8 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         margins, warnings = _margins(plan, assessment, logs, context, whole=whole)
         if assessment.lanes_left and plan.scenario.oncoming_lane:
             margins, warnings = _lower_of_both_lanes(plan, assessment, margins, warnings, context, whole=whole)
-    except AssessmentError as error:  # a car that fails only in the search still has its other figures
-        return replace(assessment, margin_note=f"its search ended: {error}")
+    except AssessmentError as error:
+        return assessment.failed(error, margin_note=f"its search ended: {error}")
     equivalent: EquivalentMultiplier | None
     if margins.exact:  # it is a basic car itself
         own = plan.multiplier

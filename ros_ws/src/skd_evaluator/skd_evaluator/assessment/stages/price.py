@@ -68,18 +68,15 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     context.progress(LABEL, 0, 1)
     try:
         price = price_of_caution(plan, assessment.safe, runner, GRAPH_RUNS if external else RUNS)
-    except AssessmentError as error:  # a car that fails here alone has its other figures all the same
-        return _not_known(assessment, f"its harmless runs ended: {error}")
+    except AssessmentError as error:
+        return assessment.failed(error, price_note=f"its harmless runs ended: {error}")
     context.progress(LABEL, 1, 1)
     if price is None:
-        return _not_known(assessment, "all harmless runs were aborted")
+        why = "all harmless runs were aborted"
+        line = f"the price of caution is not known: {why}"
+        return replace(assessment, price_note=why, warnings=(*assessment.warnings, line))
     lines = () if plan.car.is_own else warnings(plan.car.label, price)
     return replace(assessment, price=price, warnings=(*assessment.warnings, *lines))
-
-
-def _not_known(assessment: Assessment, why: str) -> Assessment:
-    line = f"the price of caution is not known: {why}"
-    return replace(assessment, price_note=why, warnings=(*assessment.warnings, line))
 
 
 def warnings(car: str, price: PriceOfCaution) -> tuple[str, ...]:

@@ -144,8 +144,8 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         hits: dict[float, dict[int, EpisodeLog]] = {}
         scales = list(_scales(crossing_plan, context, assessment.confidence, hits))
         failures, failing = _failures(crossing_plan, scales, hits, context.workers)
-    except AssessmentError as error:  # a car that fails only here has figures all the same
-        return replace(assessment, risk_note=f"its crossings ended: {error}")
+    except AssessmentError as error:
+        return assessment.failed(error, risk_note=f"its crossings ended: {error}")
     return replace(assessment, risks=Risks(request.behaviour.as_dict(), scales, failures, failing))
 
 
