@@ -1,4 +1,4 @@
-"""Results that tests of reports and pictures of episodes read: a small sweep, and one with names that are code."""
+"""Results that many tests read: a small sweep, and copies of its parts with other figures."""
 
 import functools
 import json

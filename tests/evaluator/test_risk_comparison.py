@@ -227,23 +227,20 @@ def watched(episode: EpisodeSpec, controller: Controller | None = None) -> tuple
 def seen(log: EpisodeLog, times: np.ndarray, states: np.ndarray) -> Seen | None:
     """Return the first touch in an episode of discs in which the car was in these states at these times."""
     scenario = log.episode.scenario
-    last = scenario.time_step * (len(log.adversary) - 1)
-    standing = [scenario.others_at(tick) for tick in range(len(log.adversary))]
+    walked = np.arange(len(log.adversary)) * scenario.time_step
+    bodies = [(log.adversary, scenario.adversary.reach)]
+    for number, other in enumerate(scenario.others):
+        places = [scenario.others_at(tick)[number] for tick in range(len(walked))]
+        bodies.append((np.array([(one.x, one.y) for one in places]), other.reach))
 
-    def car(moments):
-        return np.column_stack([np.interp(moments, times, column) for column in states.T])
+    def at(moments, course, columns):
+        return np.column_stack([np.interp(moments, course, column) for column in columns.T])
 
     def apart(moments):
-        poses, walked = car(moments), np.arange(len(log.adversary)) * scenario.time_step
-        body = np.column_stack([np.interp(moments, walked, column) for column in log.adversary.T])
-        found = [distances(poses, body, scenario) - scenario.adversary.reach]
-        for number, other in enumerate(scenario.others):
-            ends = np.array([(one[number].x, one[number].y) for one in standing])
-            body = np.column_stack([np.interp(moments, walked, column) for column in ends.T])
-            found.append(distances(poses, body, scenario) - other.reach)
-        return np.array(found)
+        poses = at(moments, times, states)
+        return np.array([distances(poses, at(moments, walked, body), scenario) - reach for body, reach in bodies])
 
-    moments = np.append(np.arange(0.0, last, STEP), last)
+    moments = np.append(np.arange(0.0, walked[-1], STEP), walked[-1])
     touched = (apart(moments) <= 0.0).any(axis=0)
     if not touched.any():
         return None
@@ -252,12 +249,10 @@ def seen(log: EpisodeLog, times: np.ndarray, states: np.ndarray) -> Seen | None:
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if (apart(np.array([middle])) <= 0.0).any() else (middle, high)
-    at = np.array([high])
-    who = int(np.argmin(apart(at)[:, 0])) - 1
-    pose = car(at)[0]
-    walked = np.arange(len(log.adversary)) * scenario.time_step
-    body = np.array([[np.interp(high, walked, column) for column in log.adversary.T]])
-    touch = Touch.NONE if who >= 0 else side(pose, body, scenario)
+    end = np.array([high])
+    who = int(np.argmin(apart(end)[:, 0])) - 1
+    (pose,) = at(end, times, states)
+    touch = Touch.NONE if who >= 0 else side(pose, at(end, walked, log.adversary), scenario)
     return Seen(who, float(high), tuple(pose.tolist()), touch)
 
 
