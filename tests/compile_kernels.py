@@ -4,6 +4,7 @@ import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 
 CARS = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
 """Controllers and dynamics that nobody has modelled."""
+EVADES = str(Path(__file__).resolve().parents[1] / "examples" / "evasive" / "evasive.py") + ":BrakesToOtherLane"
+"""A car that steers, in another process."""
 SMALL = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1, "simulations": 10, "margin_limit": 1, "workers": 1}
 
 
@@ -31,7 +34,7 @@ def compile_objective(objective: Objective, model: str, car: str) -> None:
 
 def compile_assessment(**options: Any) -> None:
     """Compile what measures, checks and searches besides the planners."""
-    assess(**SMALL, **options)
+    assess(**SMALL | options)
 
 
 def compile_distances() -> None:
@@ -52,6 +55,7 @@ def works() -> list[Callable[[], None]]:
         partial(compile_assessment, controller="cal", adversary_model="generic"),
         partial(compile_assessment, scenario="cyclist"),
         partial(compile_assessment, scenario="child", objective="deviation"),
+        partial(compile_assessment, scenario="oncoming_lane", controller=EVADES, kamikaze_count=6, behaviour="none"),
         *(partial(compile_objective, *one) for one in planners),
     ]
 
