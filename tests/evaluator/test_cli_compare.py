@@ -6,6 +6,7 @@ import shutil
 import pytest
 from cli_support import SMALL, names, one_line
 from matplotlib.image import imread
+from report_support import edited
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
@@ -45,6 +46,8 @@ def test_cars_are_compared(skd_here, here, sweep):
         apart = rows[1][name] - rows[0][name]
         assert held["differences"][name]["difference"] == pytest.approx(apart)
     assert held["design"] == "paired on 2 φ and draws"
+    longer = edited(two, here / "longer", scenario={**figures["scenario"], "horizon": 99.0})
+    assert "different scenarios: horizon is 12.0 and 99.0" in skd_here("compare", one, longer).stderr
     one_line(skd_here("compare", one), 2, "at least two")
     one_line(skd_here("compare", one, one), 2, "at least two")
     one_line(skd_here("compare", one, "nowhere"), 2, "nowhere")

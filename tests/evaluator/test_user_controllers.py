@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -135,7 +134,7 @@ def born(folder: Path) -> list[int]:
 
 
 @contextlib.contextmanager
-def nobody_is_left(folder: Path, end: Callable[[], object] = lambda: None):
+def nobody_is_left(folder: Path):
     try:
         yield
         assert len(born(folder)) == 2
