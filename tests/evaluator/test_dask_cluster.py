@@ -3,14 +3,12 @@
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from common import wait_until
-
-pytest.importorskip("distributed", reason="Dask is not installed: python -m pip install '.[dask]'")
-
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run import dask_cluster
 from skd_evaluator.assessment.run.dask_cluster import make_runner
@@ -21,6 +19,8 @@ from skd_sim.world.episode import Mode
 from stages import rate
 from test_campaign import straight
 
+NO_DASK = "Dask is not installed: python -m pip install '.[dask]'"
+pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason=NO_DASK)  # which takes long to import
 CAR = """
 import os
 
