@@ -189,10 +189,10 @@ class KeptFailure:
 def how_unusual(people: float) -> str:
     """Return how unusual a walk is, in words, from the share of people who differ more from the average."""
     if people <= 1e-4:
-        return "almost nobody differs more from the average"
+        return "more unusual than almost everybody"
     some = f"{percent(people, 0 if people >= 0.01 else 1)} of people"
     some = f"1 in {1.0 / people:,.0f} people" if people < 5e-4 else some
-    return f"{'nearly all people' if people > 0.995 else some} differ more from the average"
+    return f"more ordinary than {'nearly all people' if people > 0.995 else some}"
 
 
 def kept_failures(figures: Mapping[str, Any]) -> list[KeptFailure]:

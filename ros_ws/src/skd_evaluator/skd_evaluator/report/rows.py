@@ -166,7 +166,7 @@ def _skd_details(figures: Mapping[str, Any], style: formats.Style) -> Iterator[F
     yield _row(style, AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")
     yield from _further(style, figures, Of.SKD, "of the pairs of SKD")
     for eta, bound in figures["probability_bound"].items() if figures["skd"] is not None else ():
-        name, of = f"P(d ≤ {eta} m) at most", "of these kamikazes, from mean and variance of their distances"
+        name, of = f"P(Fréchet distance ≤ {eta} m) at most", "of these kamikazes, from its mean and variance"
         known = style.number(figures["probability_bound_ci95"][eta])
         sharper = cantelli_bound(float(eta), figures["skd"], figures["variance"])
         yield FigureRow(f"{name}, Theorem 1", style.number(bound), known, basis=of)

@@ -72,7 +72,8 @@ def _found(result: Mapping[str, Any], car: str) -> str:
 def _trajectories(result: Mapping[str, Any]) -> str:
     """Return how many nominal trajectories there are, and how many of them are distinct if not all are."""
     count, distinct = len(result["per_safe_trajectory"]), result["distinct_safe_trajectories"]
-    return formats.counted(count, "trajectory") + ("" if distinct == count else f", {distinct} of them different")
+    alike = "all alike" if distinct == 1 else f"{distinct} distinct"
+    return formats.counted(count, "trajectory") + ("" if distinct == count else f", {alike}")
 
 
 _HEADLINE = ("margin", "nominal_collision_rate", "impact_speed", "risk_1", "time_lost")

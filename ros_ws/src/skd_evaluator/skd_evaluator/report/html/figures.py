@@ -6,7 +6,9 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.metrics.aborted import aborted_lines
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.report import formats
@@ -33,17 +35,22 @@ def sentences_of(subject: Subject) -> list[str]:
         aborted = figures["aborted"]
         why = f"{formats.counted(aborted, 'episode')} were aborted" if aborted else "none was planned"
         return [f"This is no rating: no kamikaze ran to its end ({why}). It says nothing about the car."]
-    first = headline(figures, named=False)  # it stands above
+    found = [headline(figures, named=False)]  # the name stands above
+    if figures["margin"] is not None and figures["margin_beyond"] < figures["margin_trials"]:
+        deviates = f"The {subject.scenario.adversary.kind} may deviate by {_bounded(subject, 'margin')} on average"
+        found.append(f"{deviates} before the moving car hits. More is better. Ranges are 95 % intervals.")
     if figures["deviation"] is None:
-        return [first, "No planned kamikaze ran to its end."]
+        return [*found, "No planned kamikaze ran to its end."]
     adversary_model = figures.get("adversary_model")
     known = f" (adversary model: {adversary_model})" if adversary_model else ""
-    hit = ranking["trials"] - ranking["failed"]
+    kamikazes, hit = formats.counted(ranking["trials"], "kamikaze"), ranking["trials"] - ranking["failed"]
+    if not hit:
+        return [*found, f"None of {kamikazes}{known} was hit."]
     enough = ranking["failed"] and hit == figures["margin_trials"]
     until = f" until {hit} were hit" if enough else f"; {hit} of them were hit"
-    planned = f"{formats.counted(ranking['trials'], 'kamikaze')}{known} were planned{until}"
+    planned = f"{kamikazes}{known} were planned{until}"
     counts = f"; one that was not hit counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
-    return [first, f"{planned}. They needed {formats.number(figures['deviation'], 2, 'm')} on average{counts}."]
+    return [*found, f"{planned}. They needed {formats.number(figures['deviation'], 2, 'm')} on average{counts}."]
 
 
 def warnings_of(subject: Subject) -> list[str]:
@@ -73,6 +80,8 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             of = () if key == "margin" else (one.figures.get("adversary_model"), one.ranking_objective)
             groups.setdefault((one.safe_key, one.figures["eta_max"], *of), []).append(one)
     found = [_ranking(members, key) for members in groups.values() if len(members) > 1]
+    if len(subjects) == 2 and found:
+        found = [_verdict(*subjects) or found[0]]
     for one in subjects if len(subjects) > 1 else ():  # of a single one that stands in the sentence about it
         if said := credibility(one.figures["warnings"]):
             found.append(f"What is said of {one.label} is {said}: its warnings say why.")
@@ -85,6 +94,18 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
     elif len(groups) > 1:
         found.append("η_max, or what the adversary knew or planned for, differ: such figures do not compare.")
     return found
+
+
+def _verdict(first: Subject, second: Subject) -> str:
+    """Return what `skd compare` says of the second of two cars by their results alone; empty if it says nothing."""
+    found = compare(read_result(first.folder), read_result(second.folder))
+    if found.decided_by is None:
+        return ""
+    figure, held = AT_THE_TOP[found.decided_by], found.differences[found.decided_by]
+    verdict = f"{found.verdict} ({found.reason})" if found.reason else found.verdict
+    difference = f"{held.value:+.3f}{figure.kind.unit and ' ' + figure.kind.unit}".replace("-", formats.PAGE.minus)
+    sure = f"{100 * held.confidence:.3g} % interval {formats.number(held.interval)}"
+    return f"{second.label} compared with {first.label}: {verdict}; {figure.label} {difference}, {sure}."
 
 
 def _bounded(one: Subject, key: str) -> str:
@@ -103,16 +124,10 @@ def _ranking(members: Sequence[Subject], key: str) -> str:
         for low, high in itertools.pairwise(ordered)
         if _overlap(low.figures[f"{key}_ci95"], high.figures[f"{key}_ci95"])
     ]
-    known = all(one.figures[f"{key}_ci95"] for one in members)
-    overlap = "overlap" if known else "are not known"
     text = f"Greatest {name}{which}: {last.label}, {_bounded(last, key)}; least: {first.label}, {_bounded(first, key)}."
-    if close and len(members) == 2:
-        text = f"The intervals of {name} {overlap}: skd compare says which car is safer."
-    if out := [one.label for one in members if does_not_get_past(one.figures)]:
-        text += f" Often stuck at harmless people: {', '.join(out)}."
-    if close and len(members) > 2:
+    if close:
         named = "; ".join(close) if len(close) <= _FEW else f"{len(close)} pairs"
-        text += f" Intervals that {overlap}: {named}. skd compare tells more."
+        text += f" Intervals that overlap, or are not known: {named}. skd compare tells more."
     return text
 
 

@@ -78,7 +78,7 @@ def _page(subjects: Sequence[Subject], headings: Mapping[str, Sequence[str]], co
         comparisons=comparisons,
         scales=len(SCALES),
         of_margins=any(one.figures["margin"] is not None for one in subjects),
-        hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
+        hit_speed=", ".join(dict.fromkeys(f"{3.6 * one.scenario.collision.hit_speed:.3g}" for one in subjects)),
         gap_warning=GAP_WARNING,
         mean=mean,
         style=_template("style.css"),

@@ -188,7 +188,8 @@ function where(episode, course) {
   const { front, rear, half } = episode.owner.scene.car;
   const [ahead, left] = inCar(x, y, carX, carY, heading);
   const beyond = { front: ahead - front, rear: -rear - ahead, "left side": left - half, "right side": -half - left };
-  const side = Object.keys(beyond).reduce((best, one) => (beyond[one] > beyond[best] ? one : best));
+  const corner = ahead > front - 0.01 && Math.abs(left) > half; // which counts as the front
+  const side = corner ? "front corner" : Object.keys(beyond).reduce((best, one) => (beyond[one] > beyond[best] ? one : best));
   return `${verb} by the car's ${side} at ${figures}, at x\u00a0=\u00a0${fixed(x, 1)}\u00a0m, y\u00a0=\u00a0${fixed(y, 1)}\u00a0m.`;
 }
 
