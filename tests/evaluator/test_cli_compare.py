@@ -49,6 +49,6 @@ def test_cars_are_compared(skd_here, here, sweep):
     longer = edited(two, here / "longer", scenario={**figures["scenario"], "horizon": 99.0})
     assert "different scenarios: horizon is 12.0 and 99.0" in skd_here("compare", one, longer).stderr
     one_line(skd_here("compare", one), 2, "at least two")
-    one_line(skd_here("compare", one, one), 2, "at least two")
+    one_line(skd_here("compare", one, one), 2, "the same one counts once")
     one_line(skd_here("compare", one, "nowhere"), 2, "nowhere")
     one_line(skd_here("compare", one, "both"), 2, "both")

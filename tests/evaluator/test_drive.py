@@ -119,6 +119,7 @@ def test_the_picture_is_to_scale():
 
 def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
     one_line(skd_here("drive"), 2, "keys of a terminal", "--safe synthetic", "--ticks N")
+    one_line(skd_here("drive", "--controller", "nope"), 2, "unknown controller 'nope'")
     done = skd_here("drive", "--ticks", "4", "-p", "rate_factor:=100")
     assert done.returncode == 0
     assert [line.partition(",")[0] for line in done.stdout.splitlines()] == [

@@ -135,6 +135,8 @@ def test_junit_tells_failures_of_the_car_from_errors(result):
     cases = suite.findall("testcase")
     assert [[child.tag for child in case] for case in cases] == [["system-out"], ["failure"], ["error"]]
     assert [case.attrib["name"] for case in cases] == [one.name for one in CHECKS]
+    bound = junit_xml({**result, "margin_converged": False, "equivalent_multiplier_text": "1.140"}, CHECKS)
+    assert 'name="equivalent_multiplier_text" value="at most 1.140"' in bound
     assert cases[1][0].attrib["message"] == CHECKS[1].text
     assert "�" in cases[2][0].text
     assert cases[1][0].text.splitlines() == [CHECKS[1].text, *CHECKS[1].remarks]

@@ -10,7 +10,9 @@ import pytest
 from common import run_program
 from report_support import edited
 from skd_evaluator import library
+from skd_evaluator.assessment.compare.gate import Check
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin import common_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Assessor
 
@@ -41,7 +43,7 @@ def test_a_car_is_assessed_once(skd):
     first = skd.assess("basic", seed=1)
     assert first is skd.assess(seed=1)
     assert 0.0 <= first.nominal_collision_rate <= 1.0 and first.folder.is_dir()
-    with pytest.raises(AttributeError, match="no figure 'magrin'"):
+    with pytest.raises(AttributeError, match="no figure 'magrin'; did you mean 'margin'?"):
         first.magrin
 
 def test_one_that_fails(skd):
@@ -66,8 +68,10 @@ class MyCar:
     """A car whose name is all that is wanted."""
 
 
-@pytest.mark.filterwarnings("ignore:not worse than")
-def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path, sweep: Path) -> None:
+@pytest.mark.filterwarnings("ignore:compared with")
+def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(
+    tmp_path: Path, sweep: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """`not mine.is_worse_than("released")` held where nothing can be said."""
     worse, better = (sweep / "synthetic" / name for name in ("C_0.5", "C_1"))
     scenario = json.loads((better / "assessment.json").read_text())["scenario"]
@@ -76,6 +80,10 @@ def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path
     assert not mine.is_worse_than(worse)
     with pytest.raises(AssessmentError, match=r"longer: not compared; .* scenarios: horizon is 99.0 and 12.0"):
         mine.is_worse_than(tmp_path / "longer")
+    found = Check("", "less safe: margin -0.346 m", failed=True, remarks=("at most",))
+    monkeypatch.setattr(common_trajectories, "check_not_worse", lambda *_results: found)
+    with pytest.warns(UserWarning, match=f"compared with {worse}: at most"):
+        assert mine.is_worse_than(worse) == found.text  # which a failed assert shows
 
 
 def test_a_car_whose_figures_are_not_credible_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

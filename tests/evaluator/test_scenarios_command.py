@@ -65,6 +65,7 @@ def test_a_file_of_five_lines_is_checked(skd_here, here):
         (("show",), "needs a name"),
         (("check",), "needs a file"),
         (("list", "cpna"), "takes no names"),
+        (("crossing",), "did you mean skd scenarios show crossing?"),
         (("show", "cpna", "--speeds", "10:20:10"), "goes with skd scenarios campaign"),
         (("campaign", "cpna"), "needs --speeds"),
         (("campaign", "crossing", "--speeds", "10:20:10"), "has no section protocol"),

@@ -7,6 +7,7 @@ from comparison_support import FIGURES
 from rich.console import Console
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.margin.search.search import HELD_COMMANDS, IN_PROCESS, WHOLE_EPISODES, Effort
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_evaluator.report.warnings import figure_warnings
 from skd_sim.scenario.scenario import load_scenario
@@ -59,7 +60,6 @@ def test_clipped_commands_are_counted_wherever_they_were():
     assert found.as_dict()["commands_clipped"] == {"commands": 14, "episodes": 4}
     (line,) = figure_warnings(found.as_dict())
     assert "14 commands in 4 episodes" in line
-    assert "commands beyond what the car can do" in shown(found)
 
 
 RESULT = {
@@ -129,14 +129,26 @@ def test_hits_that_the_margins_own_trials_do_not_have_are_said(beyond, along, hi
     assert (collide in headline(result)) == (beyond == 12 and along > 0)
 
 
-def test_a_search_that_has_not_converged_gives_an_upper_bound() -> None:
-    found = {"margin": 2.0, "margin_ci95": (1.5, 2.5), "margin_beyond": 3, "margin_budget": 16}
-    result = {**RESULT, **found, "margin_converged": False}
+def test_a_margin_of_nothing_needs_no_more_trials() -> None:
+    on_phi = {**RESULT, "margin": 0.0, "margin_ci95": (0.0, 0.0), "margin_beyond": 0}
+    assert figure_warnings(on_phi) == ["in all 12 trials the car hits on φ itself"]
+
+
+@pytest.mark.parametrize(
+    ("how", "effort"), [("", IN_PROCESS), ("whole episodes", WHOLE_EPISODES), ("episodes of held", HELD_COMMANDS)]
+)
+def test_a_search_that_has_not_converged_gives_an_upper_bound(how: str, effort: Effort) -> None:
+    budget = 16
+    found = {"margin": 2.0, "margin_ci95": (1.5, 2.5), "margin_beyond": 3, "margin_budget": budget}
+    result = {**RESULT, **found, "margin_converged": False, "margin_how": f"by up to 16 {how} commands"}
     said = headline(result)
     assert "Safety margin at most 2.00 m" in said
     assert "No hit found in 3 of 12: each counts as 5 m." in said
-    assert "had not converged at 16 candidates a trial" in figure_warnings(result)[0]
-    assert "--margin-limit" in figure_warnings(result)[0]
+    twice = 2 * budget * IN_PROCESS.limit // effort.limit
+    assert "had not converged at 16 candidates a trial (no hit in 3 of 12 trials)" in figure_warnings(result)[0]
+    assert figure_warnings(result)[0].endswith(f"give --margin-limit {twice}")
+    deep = {**result, "margin_beyond": 0, "margin_excess": {"mean": 0.06}}
+    assert "a trial (0.060 m too high, by trials searched deeper)" in figure_warnings(deep)[0]
     converged = {**result, "margin_converged": True}
     assert "at most" not in headline(converged)
     assert "converged" not in headline(converged)

@@ -40,6 +40,7 @@ from skd_sim.world.state import AdversaryState, CarState
             "import tf2_nowhere",
             "ModuleNotFoundError: No module named 'tf2_nowhere'; the ROS 2 that SKD brings has rclpy",
         ),
+        ("raise ImportError(\"No module named 'rclpy'\")", "ImportError: No module named 'rclpy'; write python3"),
         ("import sys; sys.exit(127)", "(it has printed nothing)"),
     ],
 )

@@ -104,6 +104,8 @@ class Short(Car):
 class Reads(Car):
     def command(self, car, adversary): return adversary.distance
 class Braking(Car): pass
+class Takes(Car):
+    def __init__(self, cfg): pass
 """
 
 
@@ -132,6 +134,9 @@ def test_a_class_of_a_file_is_found_by_its_path_and_two_files_of_one_name_are_tw
     [
         ("car.py:Brakin", r"controller car.py:Brakin: car.py has no Brakin; did you mean 'Braking'\?$"),
         ("car.py:Short", r"command must take \(car, adversary\), and takes \(car\) \(car.py, line 7\)$"),
+        ("car.py:Takes", r"'cfg'; it is made without arguments \(car.py, line 12\)$"),
+        ("car:Car", r"No module named 'car'; .*; did you mean car.py:Car\?$"),
+        ("absent:Car", r"No module named 'absent'; is it installed, or on PYTHONPATH\?$"),
         ("nothing.py:Car", "nothing.py: there is no such file"),
         ("nothing.py", "nothing.py: there is no such file"),
         ("./car.py", "controller car.py: name a class, as car.py:Class; it has .*Braking"),

@@ -114,7 +114,10 @@ class Assessed:
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name not in self.figures:
-            raise AttributeError(f"an assessment has no figure {name!r}; docs/files.md has the list")
+            from skd_sim.inputs.files import did_you_mean
+
+            near = did_you_mean(name, self.figures) or "; its `figures` has them all"
+            raise AttributeError(f"an assessment has no figure {name!r}{near}")
         return _guarded(self.figures, self.figures[name], (name,))
 
     def __repr__(self) -> str:
@@ -122,10 +125,10 @@ class Assessed:
 
         return f"<{headline(self.figures)} See {self.folder}>"
 
-    def is_worse_than(self, earlier: str | Path) -> bool:
-        """Return whether the car fell behind an earlier result, as the gate `--fail-if-worse-than` judges.
+    def is_worse_than(self, earlier: str | Path) -> str:
+        """Return by what the car fell behind an earlier result, as `--fail-if-worse-than` judges; empty if it did not.
 
-        What has to be said beside that is a warning of Python's.
+        So a test that fails shows it. What has to be said beside that is a warning of Python's.
 
         Raises:
             AssessmentError: nothing can be said, as where the two do not compare: neither that it is worse nor that it
@@ -139,8 +142,8 @@ class Assessed:
         if check.error:
             raise AssessmentError("; ".join((f"{check.name}: {check.text}", *check.remarks)))
         if check.remarks:
-            warnings.warn(f"{check.name}: {'; '.join(check.remarks)}", stacklevel=2)
-        return check.failed
+            warnings.warn(f"compared with {earlier}: {'; '.join(check.remarks)}", stacklevel=2)
+        return check.text if check.failed else ""
 
 
 class Assessor:

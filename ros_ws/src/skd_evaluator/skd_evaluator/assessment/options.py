@@ -55,7 +55,7 @@ class CampaignOptions(EpisodeOptions):
     safe_count: int = option(20, "how many safe trajectories (φ) there are", within=(1, 65_535), **_CAMPAIGN)
     kamikaze_count: int = option(
         25,
-        "how many trials there are on each safe trajectory, of the margin and of kamikazes",
+        "trials of the margin, and kamikazes that hit, on each safe trajectory; at most twice as many kamikazes start",
         within=(1, 1_000_000),
         **{**_CAMPAIGN, "commands": (*_CAMPAIGN["commands"], "protocol")},
     )

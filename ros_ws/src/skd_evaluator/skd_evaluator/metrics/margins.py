@@ -192,13 +192,25 @@ class Margins:
         return impact_figures(self.impact_speeds)
 
 
-LONGER_SEARCH = "double --margin-limit (default 1024); the search ends sooner if it converges"
-"""What to do about a search that has not converged."""
+SEARCHED_BY = {"whole episodes": 8, "episodes of held commands": 64}
+"""How a search says in `margin_how` what it drove: how many candidates of --margin-limit one of them counts for."""
+
+
+def longer_search(figures: Mapping[str, Any]) -> str:
+    """Return what to do about a search that has not converged: twice its limit."""
+    how = figures.get("margin_how") or ""
+    times = next((candidates for driven, candidates in SEARCHED_BY.items() if driven in how), 1)
+    return f"give --margin-limit {2 * times * figures['margin_budget']}"
 
 
 def stopped_at(figures: Mapping[str, Any]) -> str:
     """Return, of a search that has not converged, where it stopped, from the content of assessment.json."""
-    return f"had not converged at {figures['margin_budget']} candidates a trial"
+    why, excess = "", (figures.get("margin_excess") or {}).get("mean", 0.0)
+    if beyond := figures.get("margin_beyond"):  # with which no search converges
+        why = f" (no hit in {beyond} of {figures['margin_trials']} trials)"
+    elif excess > CONVERGED_WITHIN * figures.get("margin", 0.0):
+        why = f" ({excess:.3f} m too high, by trials searched deeper)"
+    return f"had not converged at {figures['margin_budget']} candidates a trial{why}"
 
 
 def lane_of_margin(figures: Mapping[str, Any]) -> str:

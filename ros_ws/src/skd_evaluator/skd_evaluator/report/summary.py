@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from skd_evaluator.assessment.compare.gate import Check
 from skd_evaluator.assessment.figure_table import shown_in
-from skd_evaluator.report.formats import BARE, ninety
+from skd_evaluator.report.formats import BARE, bounded, ninety
 from skd_evaluator.report.terminal import headline
 from skd_evaluator.report.warnings import figure_warnings
 
@@ -82,8 +82,9 @@ def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car:
     if result is not None:
         properties = ElementTree.SubElement(suite, "properties")
         for figure in shown_in("junit"):
-            said = {"name": figure.key, "value": _plain(str(result.get(figure.key)))}
-            ElementTree.SubElement(properties, "property", said)
+            value = str(result.get(figure.key))
+            value = bounded(result, value) if figure.key == "equivalent_multiplier_text" else value
+            ElementTree.SubElement(properties, "property", {"name": figure.key, "value": _plain(value)})
     for number, one in enumerate(checks):
         case = {"classname": f"skd.{name}", "name": _plain(one.name), "time": "0" if number else seconds}
         element = ElementTree.SubElement(suite, "testcase", case)

@@ -86,6 +86,10 @@ def headline_table(result: Mapping[str, Any]) -> Table:
         figure = AT_THE_TOP.get(key)
         if figure is None or (value := formats.TERMINAL.value(figure, result)) == formats.TERMINAL.nothing:
             continue
+        price = result.get("price_of_caution")
+        if key == "time_lost" and price and all(run["undisturbed"] >= price["horizon"] for run in price["runs"]):
+            table.add_row(f"{figure.label}, does not drive on the empty road either  ", formats.TERMINAL.nothing)
+            continue
         unit = "" if figure.kind.unit in ("", "%") else f" {figure.kind.unit}"
         intervals = (formats.TERMINAL.by_phi(figure, result), formats.TERMINAL.independent(figure, result))
         interval = next((one for one in intervals if one != formats.TERMINAL.nothing), "")
@@ -126,28 +130,21 @@ def _how_sure(result: Mapping[str, Any]) -> str:
 
 def details_table(result: Mapping[str, Any]) -> Table:
     """Return every figure that is known of an assessment, from the content of assessment.json."""
-    heads = ("", "value", "95 %,\nby φ", "95 %, as\nindependent", "of")
+    heads = ("", "value", "95 %,\nby φ", "95 %, as\nindependent", " basis")
     rows = [
         [escape(text.replace(formats.NOTHING, formats.TERMINAL.nothing)) for text in one.texts()]
         for one in figure_rows(result, formats.TERMINAL)
     ]
     for kind, reasons in result["aborted_reasons"].items():
         rows.append([f"[red]aborted episodes: {kind}[/]", str(reasons["count"])])
-    clipped = result["commands_clipped"]
-    if clipped["commands"]:
-        episodes = f" in {formats.counted(clipped['episodes'], 'episode')}"
-        rows.append(["[red]commands beyond what the car can do[/]", str(clipped["commands"]), "", "", episodes])
     if result["left_out"]:
         rows.append(["[red]left out as damaged[/]", str(len(result["left_out"]))])
     for one in result["measures"].values():
         if one["error"]:
             rows.append([f"[red]{escape(one['label'])}[/]", "failed", "", "", f" {escape(one['error'])}"])
     if (found := formats.failures_in(result)) is not None:
-        name, of = (
-            f"most likely failures at s = {found['scale']:g}",
-            f" of {formats.counted(found['runs'], 'crossing')}",
-        )
-        rows.append([name, str(found["hits"]), "", "", of])
+        of = f" of {formats.counted(found['runs'], 'crossing')}"
+        rows.append([f"most likely failures at s = {found['scale']:g}", str(found["hits"]), "", "", of])
         for one in found["kinds"]:
             nearest = f" the least unusual: {formats.how_unusual(one['nearest'][0]['people'])}"
             rows.append([f"  {escape(one['kind'])}", _percent(one["share"]), "", "", nearest])
@@ -168,7 +165,7 @@ def surrogate_table(result: Mapping[str, Any]) -> Table | None:
     for label, cells in formats.surrogate_rows(result):
         pairs = zip(cells[::3], cells[1::3], strict=True)
         table.add_row(
-            label, *(f"{median}, {worst}" if median != formats.TERMINAL.nothing else median for median, worst in pairs)
+            label, *(f"{median}, {worst}" if median != formats.NOTHING else median for median, worst in pairs)
         )
     return table
 
@@ -209,8 +206,8 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
 
 
 _LEFT = (
-    "folder", "source", "what happens", "of", "adversary", "impact places (%)", "car", "scenario", "code of\nthe car",
-    "date\n(UTC)",
+    "folder", "source", "what happens", " basis", "adversary", "impact places (%)", "car", "scenario",
+    "code of\nthe car", "date\n(UTC)",
 )  # fmt: skip
 """Heads of columns of words beside the first."""
 

@@ -15,7 +15,7 @@ from skd_sim.world.episode import counted_reasons
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
-from skd_evaluator.metrics.margins import GAP_WARNING, LONGER_SEARCH, stopped_at
+from skd_evaluator.metrics.margins import GAP_WARNING, longer_search, stopped_at
 from skd_evaluator.report.formats import counted
 
 Result = Mapping[str, Any]
@@ -68,7 +68,7 @@ def _of_margin(result: Result) -> Iterator[str]:
         return
     trials, beyond, close = result["margin_trials"], result["margin_beyond"], result["optimality_gap"]
     if not result["margin_converged"]:
-        yield f"the search for the margin {stopped_at(result)}: the margin may be less; {LONGER_SEARCH}"
+        yield f"the search for the margin {stopped_at(result)}: the margin may be less; {longer_search(result)}"
     if close is not None and close > GAP_WARNING and trials >= _FEWEST:
         rather = "judge the car by its margin, not by planned deviation or SKD"
         unseen = result.get("lane_left") and result["adversary_model"] == AdversaryModel.GENERIC
@@ -83,7 +83,8 @@ def _of_margin(result: Result) -> Iterator[str]:
         others = f"{counted(hit, 'other episode')} ended in a hit"
         yield f"the {trials} trials of the margin have no hit within η_max, but {others}: give a greater eta_max"
     elif result["margin_ci95"] is not None and result["margin_ci95"][1] - result["margin_ci95"][0] < _NO_WIDTH:
-        yield f"all {trials} trials have the same margin, so its interval has no width: give a greater --safe-count"
+        same = f"all {trials} trials have the same margin, so its interval has no width: give a greater --safe-count"
+        yield same if result["margin_ci95"][1] > _NO_WIDTH else f"in all {trials} trials the car hits on φ itself"
     if touched and not hit and beyond == trials:
         yield f"the car was only walked into: {touched} kamikazes touched it, while it drove slower than {least:g} m/s"
 

@@ -73,7 +73,8 @@ def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None
         return lambda: nullcontext(evaluator)
     folder = setting.log_folder / "again"
     folder.mkdir(parents=True, exist_ok=True)
-    return partial(graph_session, replace(setting, log_folder=folder, record_to=None, campaign=""))
+    silent = replace(setting, log_folder=folder, record_to=None, campaign="", say=lambda _line: None)
+    return partial(graph_session, silent)
 
 
 def assess_through_graph(

@@ -262,6 +262,7 @@ def make_controller(name: str, multiplier: float = 1.0) -> protocol.Controller:
     except (Interrupted, UsageError):  # this process is to end, or what is wrong is said already
         raise
     except BaseException as error:  # a user's class may raise anything, and end the program with a clean exit code
-        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}{place_of(error)}") from None
+        where = place_of(error) or f"; it is made without arguments{_place_of_method(found.__init__)}"
+        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}{where}") from None
     finally:
         end_call()

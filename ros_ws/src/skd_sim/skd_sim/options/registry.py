@@ -52,7 +52,10 @@ def load(target: str, what: str) -> Any:
     except (Interrupted, UsageError):  # this process is to end, or what is wrong is said already
         raise
     except BaseException as error:  # a user's module may raise anything, and end the program with a clean exit code
-        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}{place_of(error)}") from None
+        file = f"{module}.py"
+        missing = isinstance(error, ModuleNotFoundError) and error.name == module and Path(file).is_file()
+        near = f"; did you mean {file}:{attribute}?" if missing else place_of(error)
+        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}{near}") from None
     for name in attribute.split("."):
         if not hasattr(found, name):
             names = [one for one, value in vars(found).items() if isinstance(value, type) and one[:1] != "_"]
@@ -103,12 +106,12 @@ def reason_of(error: BaseException) -> str:
 
 
 def place_of(error: BaseException, folder: str = "") -> str:
-    """Return file and line of the last step in a folder, or in any code but SKD's, that led to an error, in brackets.
+    """Return file and line of the last step in a folder, or in any code of a user's, that led to an error, in brackets.
 
     Empty where there is none.
     """
-    own = f"{Path(__file__).parents[2]}{os.sep}"
-    steps = [one for one in traceback.extract_tb(error.__traceback__) if not one.filename.startswith(("<", own))]
+    own = "<", f"{Path(__file__).parents[2]}{os.sep}", importlib.__path__[0]
+    steps = [one for one in traceback.extract_tb(error.__traceback__) if not one.filename.startswith(own)]
     mine = [one for one in steps if folder and one.filename.startswith(folder)] or steps
     return f" ({os.path.relpath(mine[-1].filename)}, line {mine[-1].lineno})" if mine else ""
 

@@ -38,7 +38,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP, Better, Of, shown_
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.clustered import clustered_rate
 from skd_evaluator.metrics.difference import Difference, difference
-from skd_evaluator.metrics.margins import CONVERGED_WITHIN, LONGER_SEARCH, stopped_at
+from skd_evaluator.metrics.margins import CONVERGED_WITHIN, longer_search, stopped_at
 from skd_evaluator.metrics.price_of_caution import price_differences, stored_price
 from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
@@ -390,7 +390,7 @@ def _of_the_judge(held: Comparison) -> list[str]:
                 said = f"the margin of {one.folder} is at most {mean(np.concatenate(one.groups[MARGIN])):.3f} m"
                 why = f"its search {stopped_at(one.figures)}"
                 if one is held.bounded and held.verdict == INCONCLUSIVE:
-                    why = f"and may be less: {LONGER_SEARCH}"
+                    why = f"and may be less: {longer_search(one.figures)}"
                 found.append(f"{said}, {why}")
         if _unlike_budgets(*both):
             budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)

@@ -19,7 +19,7 @@ from skd_evaluator.assessment.compare.comparison import (
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import at_worst
-from skd_evaluator.metrics.margins import LONGER_SEARCH, UPPER_BOUNDS, stopped_at
+from skd_evaluator.metrics.margins import UPPER_BOUNDS, longer_search, stopped_at
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def bound_of(result: Mapping[str, Any], name: str) -> Bound | None:
     what = "an upper bound" if less else "a lower bound"
     return Bound(
         0.0 if less else math.inf,
-        f"the search for the margin {stopped_at(result)}, so this is {what}: {LONGER_SEARCH}",
+        f"the search for the margin {stopped_at(result)}, so this is {what}: {longer_search(result)}",
     )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from skd_sim.controllers.isolated import CALL_LIMIT
 from skd_sim.controllers.protocol import with_control_period
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import is_own_world
+from skd_sim.options.car_under_test import EXTERNAL, is_own_world
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import make_simulator
@@ -143,6 +143,7 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
     where = f"first: {log.episode.mode.name.lower()}, φ {phi}, trial {trial}{lost}"
     ended = f"ended differently in another order, {hits} of them in a hit in one order alone ({where})"
     why = f"{car} keeps something between episodes, or draws random numbers of its own"
+    why += ": give -p reset:=restart, or forget at /skd/episode" if log.episode.controller == EXTERNAL else ""
     return (f"{begin}{len(changed)} of {len(first)} episodes {ended}. {why}",)
 
 

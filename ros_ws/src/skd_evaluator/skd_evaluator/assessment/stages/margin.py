@@ -45,7 +45,7 @@ from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.frechet import discrete_frechet
-from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins, Search
+from skd_evaluator.metrics.margins import SEARCHED_BY, EquivalentMultiplier, Margins, Search
 
 LABEL = "margin"
 WHOLE_EPISODE_TRIALS = 5
@@ -177,7 +177,7 @@ def _by_whole_episodes(
     if held and again < hits:
         came += f", the others count as {plan.scenario.eta_max:g} m"
     begun = "" if earlier is None else f", from the hits of {earlier.folder} on"
-    how = f"by up to {found.search.budget} whole episodes a trial{begun}; {came}"
+    how = f"by up to {found.search.budget} {tuple(SEARCHED_BY)[held]} a trial{begun}; {came}"
     return (
         (best if held else found.hits),
         replace(found.search, how=how, converged=found.search.converged and not held),

@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     def compared(folders: Sequence[Path], controller: str = "") -> int:
         if len(folders) < 2:
-            raise UsageError("give folders with at least two assessments")
+            raise UsageError("give folders with at least two assessments; the same one counts once")
         with understood(Path("one of the results")):
             return _compare(arguments, list(map(read_result, folders)), str(ControllerName(controller)))
 

@@ -59,11 +59,11 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.report.presentation import episode_line
     from skd_evaluator.ros.session import prepare_ros
 
+    plan, options = _plan_and_graph(arguments)
     watched = sys.stdin.isatty() and can_draw() and not (arguments.json or arguments.quiet)
     if not watched and arguments.safe is None and arguments.ticks is None:
         ways = "with --safe synthetic it follows a safe trajectory, with --ticks N it stands"
         raise UsageError(f"the adversary is moved by the keys of a terminal, and here is none: {ways}")
-    plan, options = _plan_and_graph(arguments)
     if arguments.graph:
         prepare_ros(options)
     episodes = _Episodes(plan, arguments)

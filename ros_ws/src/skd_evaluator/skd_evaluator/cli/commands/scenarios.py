@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from skd_sim.scenario.scenario import Scenario
 
 _KMH = 3.6
+_ACTIONS = "list", "show", "check", "campaign"
 _CAMPAIGN = """\
 # {names} at {speeds} km/h
 defaults:
@@ -39,9 +40,8 @@ def add(parser: Parser) -> None:
     own. campaign: the file of a campaign at several test speeds.
     """
     parser.set_defaults(group="look")
-    actions = ("list", "show", "check", "campaign")
-    text = f"what to do: {', '.join(actions)} (default: list)"
-    parser.add_value("action", text, choices=actions, metavar="ACTION", nargs="?", default="list")
+    text = f"what to do: {', '.join(_ACTIONS)} (default: list)"
+    parser.add_value("action", text, metavar="ACTION", nargs="?", default="list")
     parser.add_value("names", "names or files of scenarios", nargs="*", metavar="NAME")
     text = "with campaign, test speeds of the car, km/h, as 10:60:10"
     parser.add_value("--speeds", text, type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP")
@@ -54,6 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_sim.scenario.scenario import load_scenario
     from skd_sim.scenario.scenario_file import SCENARIOS
 
+    if arguments.action not in _ACTIONS:
+        known = f"give {', '.join(_ACTIONS)}; did you mean skd scenarios show {arguments.action}?"
+        raise UsageError(f"unknown action {arguments.action!r}: {known}")
     if arguments.action == "list":
         if arguments.names:
             raise UsageError("skd scenarios list takes no names; skd scenarios show does")
