@@ -335,7 +335,7 @@ def test_commands(document, called, checkout, results, monkeypatch, capfd):
                     if shown:
                         patch.setattr(price, "RUNS", RUNS["RUNS"])
                     run(call, checkout, results, bool(shown))
-                elif call.program == "python":
+                elif call.program in ("python", ".venv/bin/python"):
                     run_python(call, checkout, patch)
                 elif call.program == "scripts/skd":
                     subprocess.run([ROOT / call.program, *call.words], cwd=checkout / call.folder, check=True)
