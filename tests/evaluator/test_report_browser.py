@@ -66,13 +66,12 @@ def test_figures_are_drawn(opened, subjects, file):
 def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, subjects, tmp_path):
     (tmp_path / "page.html").write_text(page.render(subjects[1:]), encoding="utf-8")
     one, deadlock = open_page(browser, tmp_path / "page.html", 1280), subjects[1].figures["deadlock"]
-    assert deadlock > 0.0
     assert f"{100 * deadlock:.1f} % never pass" in one.text(".tiles")
     for place in ("#verdict", "#view svg", "#play", "#hits svg"):
         box = one.page.locator(place).bounding_box()
         assert box["y"] + box["height"] <= 900, place
     assert re.search(r"Safety margin \d\.\d\d m \[\d\.\d\d, \d\.\d\d\]", one.text("#verdict"))
-    episodes = subjects[1].episodes
+    episodes, scenario = subjects[1].episodes, subjects[1].scenario
     worst, least = int(episodes.worst_first()[0]), min(hit.distance for of in episodes.margin_hits for hit in of if hit)
     assert one.text("#playing").startswith("The worst episode of planned kamikazes and runs along φ: ")
     assert f"The least deviation of the margin is {least:.2f} m, on synthetic/" in one.text("#place")
@@ -84,6 +83,11 @@ def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, 
     assert one.count("#hits .end:not(.least)") == episodes.hit.sum()
     assert one.count("#hits .end.least") == sum(hit is not None for hits in episodes.margin_hits for hit in hits)
     assert one.count("#hits .ring") == 1
+    for number in episodes.worst_first()[:20]:
+        gap = np.abs(episodes.until_contact(number)[-1] - episodes.car_until_contact(number, scenario)[-1, :2])
+        corner = gap[1] > scenario.car.front and gap[0] > scenario.car.half_width  # which R(1) counts as the front
+        assert ("by the car's front corner" in one.text("#place")) == corner
+        one.page.click("#next")
     one.page.context.close()
 
 
@@ -130,8 +134,7 @@ def test_the_player_moves(opened, subjects):
     assert opened.count("#view .belief") == opened.count("#view .believed") == kamikaze
     assert ("the kamikaze believes the car" in opened.text("#state")) == kamikaze
     assert opened.page.locator(".of-belief:visible").count() == kamikaze
-    at_start = opened.page.evaluate(place)
-    assert at_start != at_end
+    assert opened.page.evaluate(place) != at_end
     assert opened.text("#clock").startswith("0.00 of ")
     opened.page.click("#play")
     opened.page.locator("#play", has_text="play").wait_for()  # it has come to its end
@@ -146,8 +149,7 @@ def test_it_fits_every_screen_and_paper(browser, file):
     for width, scheme in ((400, "dark"), (800, "light"), (1600, "light")):
         other = open_page(browser, file, width, scheme)
         assert other.page.evaluate("document.documentElement.scrollWidth") <= width
-        for one in other.page.locator("details").all():
-            one.evaluate("(one) => { one.open = true; }")
+        other.page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
         ends = "[...document.querySelectorAll('table, svg, pre')].map((one) => one.getBoundingClientRect().right)"
         assert max(other.page.evaluate(ends)) <= width  # nor does a table scroll sideways
         backgrounds.add(other.page.evaluate("getComputedStyle(document.body).backgroundColor"))

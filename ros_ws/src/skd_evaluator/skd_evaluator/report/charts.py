@@ -154,7 +154,8 @@ def vulnerability_charts(cars: Sequence[ChartedCar]) -> list[tuple[str, Spec]]:
 
 def save_vulnerability(path: Path, cars: Sequence[ChartedCar]) -> None:
     """Save one picture of the curves of one or more cars."""
-    title = "How far one has to deviate from a safe trajectory to be hit; shaded: 95 % interval by φ"
+    title = "How far one has to deviate from a safe trajectory to be hit"
+    title += "; shaded: 95 % interval by φ" if len(cars) <= _BANDS else ""
     if len(cars) == 1:
         title = f"{cars[0].label}. {title}\nDot: nominal collision rate; grey: planned kamikazes"
     save_charts(path, [vulnerability_chart(cars)], title)
