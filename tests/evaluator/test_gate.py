@@ -67,7 +67,7 @@ def test_no_gate_passes_with_figures_that_are_not_credible(result):
     assert headline(doubted) == f"Not credible (the warnings say why): {headline(result)}"
     checks = Gate((Limit("deviation", 0.0),), None, {}).checks(doubted, None, [])
     assert [(one.error, one.passed) for one in checks] == [(True, False), (True, False)]
-    assert checks[1].text.startswith("not judged: ")
+    assert checks[1].text.startswith("not judged, for the assessment is an error: ")
     assert checks[0].text == f"{NOT_CREDIBLE}it counts"
     assert markdown(doubted, checks).startswith("## ⚠️")
     assert Gate((), None, {}).checks(result, None, [])[0].passed
@@ -177,3 +177,11 @@ def test_the_command_line_decides(skd_here, here, cars):
 def test_wrong_conditions_are_said_before_anything_runs(skd_here, here, arguments, parts):
     one_line(skd_here("assess", *SMALL, *arguments), 2, *parts)
     assert not (here / "skd_results").exists()
+
+
+def test_what_an_earlier_run_wrote_does_not_stay_beside_a_car_that_cannot_be_loaded(skd_here, tmp_path):
+    for name in ("gate.xml", "gate.md"):
+        (tmp_path / name).write_text("passed")
+    done = skd_here("assess", "--controller", "nobody:Car", "--junit", "gate.xml", "--markdown", "gate.md")
+    assert done.returncode == 2
+    assert not list(tmp_path.glob("gate.*"))

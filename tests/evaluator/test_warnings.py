@@ -138,14 +138,14 @@ def test_a_margin_of_nothing_needs_no_more_trials() -> None:
     ("how", "effort"), [("", IN_PROCESS), ("whole episodes", WHOLE_EPISODES), ("episodes of held", HELD_COMMANDS)]
 )
 def test_a_search_that_has_not_converged_gives_an_upper_bound(how: str, effort: Effort) -> None:
-    budget = 16
+    budget = 1024
     found = {"margin": 2.0, "margin_ci95": (1.5, 2.5), "margin_beyond": 3, "margin_budget": budget}
-    result = {**RESULT, **found, "margin_converged": False, "margin_how": f"by up to 16 {how} commands"}
+    result = {**RESULT, **found, "margin_converged": False, "margin_how": f"by up to {budget} {how} commands"}
     said = headline(result)
     assert "Safety margin at most 2.00 m" in said
     assert "No hit found in 3 of 12: each counts as 5 m." in said
     twice = 2 * budget * IN_PROCESS.limit // effort.limit
-    assert "had not converged at 16 candidates a trial (no hit in 3 of 12 trials)" in figure_warnings(result)[0]
+    assert "had not converged at 1024 candidates a trial (no hit in 3 of 12 trials)" in figure_warnings(result)[0]
     assert figure_warnings(result)[0].endswith(f"give --margin-limit {twice}")
     deep = {**result, "margin_beyond": 0, "margin_excess": {"mean": 0.06}}
     assert "a trial (0.060 m too high, by trials searched deeper)" in figure_warnings(deep)[0]

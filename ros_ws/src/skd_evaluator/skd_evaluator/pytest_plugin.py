@@ -166,11 +166,15 @@ class Assessor:
             AssessmentError: its figures are not credible, or `skd assess` would end with exit code 1 for
                 another reason, so that no test of them says anything.
         """
+        from skd_sim.errors import UsageError
+
         from skd_evaluator.errors import AssessmentError
         from skd_evaluator.library import assess
         from skd_evaluator.metrics.aborted import not_credible
         from skd_evaluator.report.warnings import undefined
 
+        if not isinstance(car, (str, type)) or "<locals>" in getattr(car, "__qualname__", ""):
+            raise UsageError(f"skd.assess takes a class of a module, or its name, got {car!r}")
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"
         if key not in self._kept:
@@ -198,4 +202,7 @@ def _skd(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     if not out:
         return Assessor(tmp_path_factory.mktemp("skd"))
     # From where pytest was started: a test may have gone to another folder.
-    return Assessor(request.config.invocation_params.dir / Path(out).expanduser() / worker)
+    folder = request.config.invocation_params.dir / Path(out).expanduser() / worker
+    if folder.is_dir() and any(folder.iterdir()):
+        pytest.exit(f"{_OUT} {out}: already holds results; name a new folder, or delete it", 2)
+    return Assessor(folder)

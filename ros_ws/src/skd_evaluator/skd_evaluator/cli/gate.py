@@ -102,7 +102,8 @@ class Gate:
         if not why:
             return found
         # A condition that these figures meet may not be met by the car; one that they do not meet stays so.
-        judged = (replace(one, text=f"not judged: {one.text}", error=True) if one.passed else one for one in found[1:])
+        doubt = "not judged, for the assessment is an error"
+        judged = (replace(one, text=f"{doubt}: {one.text}", error=True) if one.passed else one for one in found[1:])
         return [first, *judged]
 
     def write(self, result: Mapping[str, Any] | None, checks: list[Check], car: str = "") -> str | None:
@@ -164,6 +165,8 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
     if len(set(map(real_path, files.values()))) < len(files):
         raise UsageError(f"--junit {arguments.junit}: --markdown is written there, too; give each a file of its own")
+    for path in files.values():  # what an earlier run wrote says nothing of this one, however it ends
+        real_path(path).unlink(missing_ok=True)
     return Gate(limits, earlier, files)
 
 

@@ -197,10 +197,10 @@ SEARCHED_BY = {"whole episodes": 8, "episodes of held commands": 64}
 
 
 def longer_search(figures: Mapping[str, Any]) -> str:
-    """Return what to do about a search that has not converged: twice its limit."""
+    """Return what to do about a search that has not converged: twice its limit, and at least the default."""
     how = figures.get("margin_how") or ""
     times = next((candidates for driven, candidates in SEARCHED_BY.items() if driven in how), 1)
-    return f"give --margin-limit {2 * times * figures['margin_budget']}"
+    return f"give --margin-limit {max(1024, 2 * times * figures['margin_budget'])}"
 
 
 def stopped_at(figures: Mapping[str, Any]) -> str:

@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean, near_or_all
+from skd_sim.inputs.files import near_or_all
 from skd_sim.interruption import Interrupted
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ def load(target: str, what: str) -> Any:
     for name in attribute.split("."):
         if not hasattr(found, name):
             names = [one for one, value in vars(found).items() if isinstance(value, type) and one[:1] != "_"]
-            raise UsageError(f"{what}: {Path(module).name} has no {name}{did_you_mean(name, names)}")
+            near = near_or_all(name, names or ["none"], "its classes:")
+            raise UsageError(f"{what}: {Path(module).name} has no {name}{near}")
         found = getattr(found, name)
     return found
 

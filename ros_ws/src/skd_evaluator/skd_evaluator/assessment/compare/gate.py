@@ -172,7 +172,8 @@ def _at_most(found: Comparison) -> str:
     margin = found.differences.get(MARGIN)
     earlier, mine = found.is_bound
     if mine or (earlier and margin is not None and margin.direction < 0):
-        return f"the {'' if mine else 'earlier '}margin is an upper bound, so it is not known which is less"
+        longer = longer_search((found.second if mine else found.first).figures)
+        return f"the {'' if mine else 'earlier '}margin is an upper bound, so it is not known which is less; {longer}"
     return ""
 
 
