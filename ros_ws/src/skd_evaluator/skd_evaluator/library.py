@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import warnings
-from contextlib import ExitStack, closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -98,10 +98,7 @@ def assess(
         plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
         objectives = objectives_named(values["objective"])
         risk = risk_request(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
-        with ExitStack() as stack:
-            folder = None
-            if out is not None:
-                folder = stack.enter_context(closing(ResultFolder(Path(out).expanduser(), overwrite=False)))
+        with nullcontext() if out is None else closing(ResultFolder(Path(out).expanduser())) as folder:
             runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
             context = Context(
                 runner,

@@ -290,8 +290,8 @@ class Supervisor:
             if process.restarts > _RESTARTS or ((lacks or code in _CANNOT_START) and process.restarts > 1):
                 hint = ""
                 if lacks and not is_sourced(process.program.environment):
-                    hint = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
-                    hint = "; write python3, not a path: SKD's Python has it" if "'rclpy'" in last[-1] else hint
+                    others = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
+                    hint = "; write python3, not a path: SKD's Python has it" if "'rclpy'" in last[-1] else others
                 process.given_up = f"{problem}, {process.restarts} times; the last line of its log: {last[-1]}{hint}"
                 raise GraphError(process.given_up)
             process.start()

@@ -265,8 +265,9 @@ def search(groups: Sequence[Group], drive: Drive) -> None:
         if new:
             known.update(zip((key for key, _ in new), drive([episode for _, episode in new]), strict=True))
         for key, (group, proposal) in zip(keys, proposals, strict=True):
-            log = known[key] if known[key].outcome != Outcome.ABORTED else known.pop(key)  # it may not be again
-            group.learn(proposal, log)
+            group.learn(proposal, known[key])
+            if known[key].outcome == Outcome.ABORTED:  # it may not be again
+                del known[key]
 
 
 def _driven(episode: EpisodeSpec) -> tuple[int, bytes]:

@@ -17,6 +17,7 @@ import numpy as np
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import FloatArray, IntArray
 
+from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.candidates import ActionSpace
 from skd_evaluator.margin.search.group import OTHER, SOURCES, Group
@@ -52,7 +53,7 @@ class Effort(NamedTuple):
     """
 
     first: int = 16
-    limit: int = 1024
+    limit: int = DEFAULT_MARGIN_LIMIT
     excursions: int = 12
     deepens: bool = True
 
