@@ -5,12 +5,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator import Plan, run_episode
+from skd_sim import EpisodeSpec, Mode, Outcome, Scenario, Trajectory
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import FloatArray, Trajectory
+from skd_sim.world.state import FloatArray
 
 ON_FOOT = {"child": 2.0, "runner": 3.0}  # m/s², in any direction
 WHEELED = {  # m/s² to speed up, to brake, to the side; rad in a tick; m of the tightest circle

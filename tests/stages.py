@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator import Assessment, Plan
 from skd_evaluator.assessment.context import Context, RiskRequest, Runner
-from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.stages import kamikazes, margin, risk
 from skd_sim.options.adversary import Objective
 from skd_sim.world.state import Trajectory

@@ -6,10 +6,9 @@ from skd_adversary.car_models.observations import Observations, observe
 from skd_evaluator.assessment.plan import probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.car_logs import recording_of
+from skd_sim import AdversaryState, CarState, Controller, Scenario, load_scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.controllers.protocol import Controller, control_period_of, with_control_period
-from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.controllers.protocol import control_period_of, with_control_period
 
 SCENARIO = load_scenario("crossing")
 KAPPA = SCENARIO.car.safe_distance

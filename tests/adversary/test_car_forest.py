@@ -38,14 +38,12 @@ from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.crossing.sensors import POSE
+from skd_sim import AdversaryState, CarState, Scenario, UsageError, load_scenario
 from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.loading import user_controller
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.road import beside_road, road_pose
-from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.contact import to_car_frame
-from skd_sim.world.state import AdversaryState, CarState
 
 
 class GradedCar:

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from citr_lookalike import LookAlike, Walk
 from skd_adversary.safe_trajectories.citr import Clip, read_clips, select, touches_cart
+from skd_sim import Scenario, Trajectory, UsageError, load_scenario
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.state import Trajectory
 
 SCENARIO = load_scenario("citr_crossing")
 

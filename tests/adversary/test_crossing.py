@@ -10,6 +10,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from skd_adversary import ParticleBelief, Planner, PlannerOptions, Pomdp
 from skd_adversary.adversary import PlanningAdversary, make_adversary
 from skd_adversary.crossing.cars import BASIC_KERNELS, CarModel, known_basic_car, unknown_car
 from skd_adversary.crossing.interfaces import (
@@ -30,16 +31,11 @@ from skd_adversary.crossing.objectives import PAPER, objective_named
 from skd_adversary.crossing.path import polyline_distance, polyline_segments
 from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, PEDESTRIAN, STAY, action_velocity, road_user_named
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
-from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Planner, PlannerOptions
+from skd_sim import CarState, EpisodeSpec, Mode, Scenario, Trajectory, kernel, load_scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.kernels.compilation import kernel
 from skd_sim.options.adversary import OBJECTIVES
 from skd_sim.scenario.road import road_position
-from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import CarState, FloatArray, Trajectory
+from skd_sim.world.state import FloatArray
 from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")

@@ -3,8 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories, read_csv_trajectory
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim import UsageError, load_scenario
 
 SCENARIO = load_scenario("crossing")
 GOOD = "t,x,y\n0,-3.5,0\n1,-1.0,0.5\n3,2.0,0.5\n"

@@ -12,10 +12,8 @@ from skd_adversary.crossing import road_users
 from skd_adversary.crossing.road_users import BRAKE_LEFT, BRAKE_RIGHT, CYCLIST, LEFT, RIGHT
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
+from skd_sim import EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
 
 SCENARIO = load_scenario("cyclist")
 ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md (4) has them

@@ -18,12 +18,9 @@ from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
 from skd_adversary.crossing.path import first_row, next_row
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, EAST, STAY
 from skd_adversary.pomdp.model import Pomdp
-from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.metrics.deviation import deviation
+from skd_evaluator import deviation, run_episode
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.7, 0.6), (-0.9, 0.5), (0.1, 0.0), (0.9, -0.1), (2.4, 0.0)])

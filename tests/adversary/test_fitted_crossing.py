@@ -24,8 +24,7 @@ from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import PAPER
 from skd_adversary.crossing.road_users import ACTION_COUNT, STAY
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim import UsageError, load_scenario
 
 SCENARIO = load_scenario("crossing")
 PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])

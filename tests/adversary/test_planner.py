@@ -8,9 +8,8 @@ import numpy.typing as npt
 import pytest
 from models import ring, tiger
 from problems.tiger import LISTEN, OPEN_LEFT, OPEN_RIGHT
-from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions
+from skd_adversary import ParticleBelief, Planner, PlannerOptions, Pomdp
+from skd_adversary.pomdp.planner import Backup, Cells
 
 GAMMA, ACCURACY = 0.95, 0.85
 BELIEFS = np.linspace(0.0, 1.0, 4001)  # P(behind the right door)

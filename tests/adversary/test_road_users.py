@@ -17,16 +17,12 @@ from skd_adversary.crossing.road_users import (
     road_user_named,
     settled,
 )
-from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.metrics.deviation import deviation
-from skd_sim.errors import UsageError
+from skd_evaluator import deviation, run_episode
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
 from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road_user import ROAD_USERS
-from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
 
 ROUNDING = 1e-6
 WHEELED = [kind for kind, body in BODIES.items() if "length" in body]

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from models import ring, tiger
-from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions
+from skd_adversary import ParticleBelief, Planner, PlannerOptions, Pomdp
+from skd_adversary.pomdp.planner import Backup, Cells
 from skd_sim.kernels.compilation import kernel
 
 F32 = np.float32

@@ -10,10 +10,8 @@ from cars.view import Eyes, View
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from skd_evaluator.assessment.run.episodes import run_episode
+from skd_sim import EpisodeSpec, Mode, Trajectory, load_scenario
 from skd_sim.controllers.loading import make_controller
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 EYES = Eyes(CROSSING)

@@ -11,12 +11,9 @@ from hypothesis import strategies as st
 from pair_orders import safer_of
 from ranking_figures import FIGURES, Work
 from shapely import box, distance, points
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator import deviation, run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.deviation import deviation
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim import EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
 from wide_scenarios import ALONG_THE_ROAD, EARLIER_OR_LATER, PACES, Manner, outcomes, scenarios
 
 CROSSING = load_scenario("crossing")

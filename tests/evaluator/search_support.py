@@ -7,9 +7,7 @@ from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.deviation import Hit
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import AdversaryState, CarState, Trajectory
+from skd_sim import AdversaryState, CarState, EpisodeSpec, Mode, Trajectory, load_scenario
 from skd_sim.world.world import Contact, World
 
 CROSSING = load_scenario("crossing")

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.static_tests import static_episodes
-from skd_sim.controllers.protocol import Controller
+from skd_sim import Controller, EpisodeLog, Outcome, Scenario
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.protocol import impact_offset
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import EpisodeLog, Outcome
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator import Assessment, AssessmentError
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.options import WALKERS
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import aborted_lines, at_worst, too_many_aborted
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch

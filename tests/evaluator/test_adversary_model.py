@@ -12,12 +12,11 @@ import pytest
 from skd_adversary.adversary import any_car_models, make_adversary, predicted_car
 from skd_adversary.car_models.car_model_file import FittedCar, car_model_text, fitted_car
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
+from skd_evaluator import AssessmentError, Plan
 from skd_evaluator.assessment.from_options import plan_of
-from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
 from skd_evaluator.assessment.stages.car_model import CHOICES, kept_models, learned, model_file, needs_learning
-from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.options.options import EpisodeOptions, options_of

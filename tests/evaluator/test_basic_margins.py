@@ -22,8 +22,7 @@ from skd_evaluator.margin.basic_margins import (
     yardstick,
 )
 from skd_evaluator.metrics.margins import MarginDifference
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.state import Trajectory
+from skd_sim import Trajectory, load_scenario
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, seed=3, safe_count=3, kamikaze_count=4)

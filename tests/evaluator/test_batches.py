@@ -6,21 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.episodes import Replay, run_episode
+from skd_evaluator import AssessmentError, Plan, run_episode
+from skd_evaluator.assessment.run.episodes import Replay
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.risk import crude_crossings
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search import rounds as searching
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.crossings import AnyCar, CrossingPlan, batched_car
+from skd_sim import Mode, Outcome, Trajectory, load_scenario
 from skd_sim.options.adversary import AdversaryModel
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Mode, Outcome
-from skd_sim.world.state import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "batches"
 SCENARIO = load_scenario("crossing")

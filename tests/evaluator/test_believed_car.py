@@ -3,13 +3,11 @@
 import numpy as np
 from skd_adversary.adversary import make_adversary
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED
+from skd_evaluator import Plan, run_episode
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Mode
+from skd_sim import Mode, load_scenario
 
 
 def test_it_is_mean_and_deviation_of_the_particles_and_changes_nothing():

@@ -17,10 +17,7 @@ from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, UsageError, load_scenario
 from stages import rate
 
 CROSSING = load_scenario("crossing")

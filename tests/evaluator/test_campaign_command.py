@@ -24,8 +24,7 @@ from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign import results
 from skd_evaluator.extensions.campaign.campaign import CampaignFolder
 from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
-from skd_sim.errors import UsageError
-from skd_sim.world.episode import Mode
+from skd_sim import Mode, UsageError
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deviation"}
 SIZES |= {"margin_limit": 8, "behaviour": "none"}

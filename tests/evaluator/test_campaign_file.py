@@ -8,9 +8,8 @@ import yaml
 from cli_support import CROSSING
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED
 from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
-from skd_sim.errors import UsageError
+from skd_sim import UsageError, load_scenario
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
-from skd_sim.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,14 +9,10 @@ from search_support import CROSSING, kamikaze_episode
 from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import check_controller
+from skd_sim import AdversaryState, CarState, EpisodeSpec, Frame, Mode, Outcome, Scenario, UsageError, WorldSimulator
 from skd_sim.controllers.loading import user_controller
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState
 
 POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]
 OFTEN = replace(CROSSING, control_period=0.1)

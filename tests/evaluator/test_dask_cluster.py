@@ -13,9 +13,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run import dask_cluster
 from skd_evaluator.assessment.run.dask_cluster import make_runner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Mode
+from skd_sim import Mode, UsageError, load_scenario
 from stages import rate
 from test_campaign import straight
 

@@ -14,9 +14,7 @@ from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.measures import Measured, Pair, load_measures, pair_of
 from skd_evaluator.metrics.skd import frechet_distances, prefix_distances
 from skd_evaluator.metrics.statistics import mean
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
 
 # On a grid of 1/64 sums and products are exact: properties hold without tolerance.
 GRID = st.integers(-640, 640).map(lambda k: k / 64.0)

@@ -22,11 +22,9 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.aborted import not_credible
-from skd_sim.errors import UsageError
+from skd_sim import EpisodeSpec, Mode, Outcome, Scenario, Trajectory, UsageError, load_scenario
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim.scenario.scenario import scenario_from_dict
 
 CROSSING = load_scenario("crossing")
 MIRROR = np.array([-1.0, 1.0])

@@ -11,14 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from skd_evaluator import AssessmentError, Plan
 from skd_evaluator.assessment.files import episode_store
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.errors import AssessmentError
-from skd_sim.errors import UsageError
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, UsageError, load_scenario
 from skd_sim.options.adversary import AdversaryModel, Objective
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
 from skd_sim.world.timing import Timing
 
 CROSSING = load_scenario("crossing")

@@ -14,10 +14,9 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.exact import exact
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.deviation import Hit, deviation
+from skd_sim import AdversaryState, CarState, EpisodeSpec, Mode, Outcome, load_scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.episode import Role, generator
 from skd_sim.world.world import Contact, World, make_world
 
 DIAGONAL = math.sqrt(0.5)

@@ -17,9 +17,8 @@ from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled
 from skd_evaluator.extensions.fusion.trials import PhysicalTrial, read_trials, table_in
 from skd_evaluator.metrics.surrogate_measures import least_clearance
 from skd_evaluator.metrics.surrogate_scenes import scene_of
-from skd_sim import Mode, Trajectory
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
+from skd_sim import Mode, Trajectory, UsageError, load_scenario
+from skd_sim.scenario.scenario import scenario_from_dict
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 

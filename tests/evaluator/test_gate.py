@@ -21,9 +21,8 @@ from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.summary import junit_xml, markdown
 from skd_evaluator.report.terminal import headline
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, load_scenario
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from stages import rate
 
 PLAN = Plan(

@@ -7,15 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator import assess
-from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator import AssessmentError, assess, run_episode
+from skd_sim import AdversaryState, Trajectory, load_scenario
 from skd_sim.controllers.basic import BasicController
 from skd_sim.options.car_under_test import SIMULATORS
-from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, SimulatorError, WorldSimulator
 from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Mode, Outcome, kind_of
-from skd_sim.world.state import AdversaryState, Trajectory
 
 CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step

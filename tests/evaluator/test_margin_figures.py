@@ -26,9 +26,7 @@ from skd_evaluator.metrics.margins import (
 )
 from skd_evaluator.metrics.statistics import cantelli_bound, normal_interval, wilson_interval
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim import Outcome, Trajectory, load_scenario
 
 
 def margins(groups) -> Margins:

@@ -8,12 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from search_support import CROSSING, TIME_STEP, bent, kamikaze_episode
-from skd_evaluator import assess
-from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator import AssessmentError, Plan, assess, deviation, run_episode
+from skd_evaluator.assessment.plan import EpisodeGroup, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import minimal_deviations
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.detours import detour
@@ -21,15 +19,11 @@ from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.rounds import confirmed, in_processes
 from skd_evaluator.margin.search.search import IN_PROCESS, WARM_START, Earlier, Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import prescribed
-from skd_evaluator.metrics.deviation import deviation
+from skd_sim import AdversaryState, CarState, Controller, Trajectory, UsageError, load_scenario
 from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.loading import make_controller
-from skd_sim.controllers.protocol import Controller
-from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
-from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, controller_generator, controller_seed
-from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]

@@ -14,7 +14,7 @@ from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
 from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.arguments import graph_options
 from skd_evaluator.cli.parser import make_parser, parse
-from skd_sim.errors import UsageError
+from skd_sim import EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
 from skd_sim.options.adversary import Objective
 from skd_sim.options.options import (
     FIELDS,
@@ -26,9 +26,6 @@ from skd_sim.options.options import (
     options_of,
 )
 from skd_sim.ros.from_messages import message_to_episode
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")

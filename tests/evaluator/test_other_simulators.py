@@ -12,13 +12,9 @@ from skd_evaluator.assessment.episode_figures import simulator_contacts
 from skd_evaluator.assessment.from_options import check_car
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.report.warnings import contact_warnings
-from skd_sim.errors import UsageError
+from skd_sim import EpisodeLog, EpisodeSpec, Frame, Mode, Outcome, Trajectory, UsageError, WorldSimulator, load_scenario
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.options.options import options_of
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 

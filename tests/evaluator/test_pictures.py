@@ -12,17 +12,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from skd_evaluator import palette
-from skd_evaluator.assessment.assessment import Assessment, KamikazeSet, ObjectiveResult
-from skd_evaluator.assessment.plan import Plan
+from skd_evaluator import Assessment, Plan, palette
+from skd_evaluator.assessment.assessment import KamikazeSet, ObjectiveResult
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.charts import save_sweep
 from skd_evaluator.report.pictures import save_trajectories
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
 
 CROSSING = load_scenario("crossing")
 pytestmark = pytest.mark.usefixtures("pictures_drawn")

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 import pytest
 from common import run_program
 from report_support import edited
-from skd_evaluator import library
+from skd_evaluator import AssessmentError, library
 from skd_evaluator.assessment.compare.gate import Check
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin import common_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Assessor

@@ -11,14 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_support import skd
+from skd_evaluator import AssessmentError, Plan, run_episode
 from skd_evaluator.assessment.episode_figures import standing
-from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.checks import driving, repeatability
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers.protocol import Controller
-from skd_sim.errors import AssessmentError
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

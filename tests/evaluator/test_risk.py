@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from cli_support import SMALL
 from scipy import signal, special, stats
-from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator import Assessment, Plan, run_episode
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.failures import HARDLY, Walkers, failures_of, nine_normals
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.plan import Plan, split_episode_id
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.plan import split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of, single_crossing
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
@@ -27,10 +26,8 @@ from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_crossing
 from skd_evaluator.risk.crossings import IN_A_CURVE, SAME, AnyCar, CrossingPlan, Crossings, Ends, KnownCar, side_touched
 from skd_evaluator.risk.subset import SubsetEffort, gathered, levels_of, replicate
+from skd_sim import Outcome, Trajectory, load_scenario
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Outcome
-from skd_sim.world.state import Trajectory
 from stages import rate, with_risks
 
 CROSSING = load_scenario("crossing")

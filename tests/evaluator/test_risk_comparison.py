@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from skd_evaluator import Plan, run_episode
 from skd_evaluator.assessment.compare.comparison import INCONCLUSIVE, LESS_SAFE, SAFER, Comparison, compare
 from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.episode_figures import closing_speed, collision_partner, surrogates_of
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.risk import crude_crossings
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
@@ -25,13 +24,10 @@ from skd_evaluator.metrics.difference import Difference
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
 from skd_evaluator.risk.crossings import AnyCar, CrossingPlan, end_of
-from skd_sim.controllers.protocol import Controller
+from skd_sim import Controller, EpisodeLog, EpisodeSpec, Frame, Outcome, Scenario, WorldSimulator, load_scenario
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
-from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from stages import rate, with_margins, with_risks
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=2, collision_runs=4, seed=5, simulations=20)

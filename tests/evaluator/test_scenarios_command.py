@@ -13,8 +13,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.arguments import steps_of
 from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim import UsageError, load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator import AssessmentError, run_episode
 from skd_evaluator.cli.main import main
-from skd_evaluator.errors import AssessmentError
 from skd_sim.controllers.loading import user_controller
 from skd_sim.controllers.protocol import SensingController
 from skd_sim.errors import UsageError

@@ -10,11 +10,8 @@ from scipy import stats
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.extensions.fusion.calibration import Recorded, calibrated, estimated, off_by, recorded
 from skd_evaluator.metrics.surrogate_scenes import Interaction
-from skd_sim.errors import UsageError
+from skd_sim import EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
 
 START = {"delay": 0.1, "deceleration": 15.0, "friction": 1.0}
 TIMES = np.linspace(0.0, 3.0, 11)

@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 from skd_evaluator.metrics.skd import bound_interval, compute_skd
 from skd_evaluator.metrics.statistics import frechet_probability_bound
-from skd_sim.errors import UsageError
-from skd_sim.world.state import Trajectory
+from skd_sim import Trajectory, UsageError
 
 STEP = 0.3
 

@@ -26,10 +26,8 @@ from skd_evaluator.metrics.surrogate_measures import (
     surrogate_measures,
 )
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scene_of, velocities
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
 from skd_sim.scenario.road_user import ROAD_USERS
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
 
 NORTH = math.pi / 2.0
 FOOTPRINT = 2.25, 1.75, 0.9

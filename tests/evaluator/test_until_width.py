@@ -11,19 +11,16 @@ import numpy as np
 import pytest
 from common import PATIENCE
 from scipy import stats
-from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator import Assessment, Plan, clustered_mean
 from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
-from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import sequential
 from skd_evaluator.assessment.stages.sequential import LOOKS
-from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
+from skd_evaluator.metrics.clustered import DISTANCES
 from skd_evaluator.metrics.sample_size import nominal_confidence
-from skd_sim.errors import UsageError
+from skd_sim import Trajectory, UsageError, load_scenario
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.state import Trajectory
 from stages import rate
 
 PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)

@@ -5,13 +5,11 @@ from dataclasses import replace
 import pytest
 from comparison_support import FIGURES
 from rich.console import Console
-from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.plan import Plan
+from skd_evaluator import Assessment, Plan
 from skd_evaluator.margin.search.search import HELD_COMMANDS, IN_PROCESS, WHOLE_EPISODES, Effort
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_evaluator.report.warnings import figure_warnings
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Mode, Outcome
+from skd_sim import Mode, Outcome, load_scenario
 from stages import rate
 from test_campaign import StubRunner, straight, trial
 

@@ -9,12 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_evaluator.assessment.run.episodes import run_episode
+from skd_sim import AdversaryState, CarState, EpisodeSpec, Mode, Outcome, Trajectory, UsageError, load_scenario
 from skd_sim.controllers.protocol import Controller, with_control_period
-from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from sumo_drivers import EGO, LANE, LANE_END, PERSON, STEP, Eidm, Idm, Krauss, SumoDriver
 
 CROSSING = load_scenario("crossing")

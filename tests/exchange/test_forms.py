@@ -10,8 +10,7 @@ from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.tracks import RecordingFrame, Track
 from skd_evaluator.extensions.exchange.imports import UnusableError, trajectory_of
 from skd_evaluator.extensions.exchange.readers import ImportRequest, listing, read_sources
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim import UsageError, load_scenario
 
 TIMED = '<TimeReference><Timing domainAbsoluteRelative="absolute" scale="1" offset="0"/></TimeReference>'
 LINE = "".join(

@@ -13,8 +13,7 @@ from skd_evaluator.bags.tracks import Track
 from skd_evaluator.extensions.exchange.exports import FORMATS
 from skd_evaluator.extensions.exchange.imports import UnusableError, by_car
 from skd_evaluator.extensions.exchange.readers import ImportRequest, read_sources
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim import UsageError, load_scenario
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -12,10 +12,9 @@ from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.extensions.exchange.scene import stretch
 from skd_evaluator.extensions.exchange.xml_formats import write_openscenario, write_road
 from skd_evaluator.report.repeat import write_trial
+from skd_sim import Trajectory, load_scenario
 from skd_sim.scenario.road import ONCOMING
-from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
-from skd_sim.world.state import Trajectory
 
 
 def written(folder: Path, one) -> Path:

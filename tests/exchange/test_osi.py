@@ -13,8 +13,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.extensions.exchange.osi import ground_truth, osi_name, read_osi, write_osi
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim import UsageError, load_scenario
 
 
 def messages(path: Path) -> Iterator[Any]:

@@ -1,8 +1,7 @@
 """A car with state."""
 
 import numpy as np
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim import AdversaryState, CarState, Scenario
 
 
 class LatchedCar:

@@ -17,13 +17,11 @@ from common import new_domain
 from compile_kernels import CARS, compile_planners
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator import Plan, run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, load_scenario
 
 SIMULATIONS = 300
 

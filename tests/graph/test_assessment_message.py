@@ -6,16 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.plan import Plan
+from skd_evaluator import Assessment, Plan
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins
 from skd_evaluator.ros.evaluator import assessment_to_message
+from skd_sim import EpisodeLog, Mode, Outcome, Trajectory, load_scenario
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, Mode, Outcome
-from skd_sim.world.state import Trajectory
 from stages import rate
 
 OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}

@@ -10,8 +10,7 @@ from graph_support import HERE, assert_same_log, skd
 from rosbags.highlevel import AnyReader
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim import AdversaryState, CarState, Scenario
 
 MESSAGES = HERE / "messages"
 VENDOR = (

@@ -18,9 +18,8 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
+from skd_evaluator import AssessmentError, run_episode
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.errors import AssessmentError
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros import support

@@ -18,9 +18,8 @@ from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, kind_of
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim import AdversaryState, CarState, EpisodeSpec, Outcome, Scenario
+from skd_sim.world.episode import AbortKind, kind_of
 
 STALL = 0.5  # s
 

@@ -22,9 +22,8 @@ from common import PATIENCE, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import of_node, whole_graph
 from rclpy.context import Context
+from skd_evaluator import AssessmentError, run_episode
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator, refuted
 from skd_evaluator.ros.processes import AbortedEpisodes, GraphError, Program, Supervisor

@@ -19,13 +19,11 @@ from skd_evaluator.assessment.run.assembly import Samples
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.visualization import episode_markers, recorded_figures
+from skd_sim import CarState, EpisodeLog, EpisodeSpec, Mode, Outcome, Scenario, load_scenario
 from skd_sim.ros.commands import NAMED_FORMATS, message_class, number_paths
 from skd_sim.ros.simulator_node import VehicleSimulator
 from skd_sim.ros.support import Topic
 from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
-from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import CarState
 from visualization_msgs.msg import Marker
 
 EVALUATOR = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_evaluator"

@@ -15,12 +15,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, LaserScan, PointCloud2
+from skd_sim import EpisodeSpec, Frame, Mode, WorldSimulator, load_scenario
 from skd_sim.options.options import StateOptions
 from skd_sim.ros.from_messages import odometry_to_adversary
 from skd_sim.ros.state_publisher import StatePublisher
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.simulator import Frame, WorldSimulator
-from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.timing import period_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage

@@ -10,8 +10,7 @@ from bag_forge import Sent, campaign_messages, write_mcap
 from common import run_skd
 from recordings_support import Replayed, crossing, trials
 from skd_evaluator.assessment.plan import Plan
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim import EpisodeLog, Outcome, load_scenario
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.world.episode import EpisodeLog, Mode
-from skd_sim.world.state import Trajectory
+from skd_sim import EpisodeLog, Mode, Trajectory
 
 
 def crossing(pace: float, ticks: int, name: str) -> Trajectory:

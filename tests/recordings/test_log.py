@@ -18,9 +18,8 @@ from skd_evaluator.cli.main import main
 from skd_evaluator.extensions.campaign.cells import read_campaign
 from skd_evaluator.extensions.log.conflicts import Conflict, ConflictRequest, conflicts_in
 from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, path_at, read_drives, steady_state
-from skd_sim.scenario.scenario import changed_scenario, load_scenario
-from skd_sim.world.episode import EpisodeSpec, Mode
-from skd_sim.world.state import Trajectory
+from skd_sim import EpisodeSpec, Mode, Trajectory, load_scenario
+from skd_sim.scenario.scenario import changed_scenario
 from test_recorded_tracks import USER, Sent, car_at, drive, header, made, pose, walk, walking, write, write_sqlite
 
 SPEED, WALK, MEETS, CLOCK = 8.0, 1.4, 7.0, 1000.0  # m/s, m/s, s after the beginning, s

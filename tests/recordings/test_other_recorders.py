@@ -12,8 +12,7 @@ from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, campaign_messages, 
 from mcap.writer import CompressionType
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator import Plan, run_episode
 from skd_sim.controllers.loading import make_controller
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario

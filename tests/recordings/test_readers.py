@@ -18,8 +18,7 @@ from bag_forge import campaign_messages, write_mcap
 from common import run_skd
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import EpisodeLog
+from skd_sim import EpisodeLog, load_scenario
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = (

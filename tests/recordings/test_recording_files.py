@@ -15,8 +15,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.read import read_bags
-from skd_sim.errors import UsageError
-from skd_sim.world.episode import EpisodeLog
+from skd_sim import EpisodeLog, UsageError
 
 Write = Callable[..., Path]
 Replay = Callable[..., Any]

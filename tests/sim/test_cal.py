@@ -7,14 +7,12 @@ from importlib import resources
 import numpy as np
 import pytest
 from scipy.stats import binom
+from skd_sim import AdversaryState, CarState, SensingController, UsageError, load_scenario
 from skd_sim.controllers.cal import FEATURES, GAP, CalController, CalState, HazardNetwork, segment, shipped_network
-from skd_sim.controllers.protocol import SensingController
-from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import Obstacle, load_scenario
+from skd_sim.scenario.scenario import Obstacle
 from skd_sim.world.sensors import PlanarLaser
-from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.world import World
 from train_hazard_network import digest, generate_scenes, probabilities_of
 

@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from skd_sim import AdversaryState, CarState, Controller, Scan, Scene, UsageError, load_scenario
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS, BasicController
 from skd_sim.controllers.loading import make_controller, user_controller
-from skd_sim.controllers.protocol import Controller
-from skd_sim.errors import AssessmentError, NoNumberError, UsageError
+from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.sensors import Scan
-from skd_sim.world.state import AdversaryState, CarState, Scene
 
 SCENARIO = load_scenario("crossing")
 RNG = np.random.default_rng(0)

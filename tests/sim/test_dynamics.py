@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim import CarState, Scenario, load_scenario
 from skd_sim.world.dynamics.multi_body import (
     ANGLE,
     BMW_320I,
@@ -34,7 +34,6 @@ from skd_sim.world.dynamics.multi_body import (
     peak_slip,
     rest_state,
 )
-from skd_sim.world.state import CarState
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters

@@ -9,10 +9,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_adversary.car_models.car_model_file import read_car_model
-from skd_sim.errors import UsageError
+from skd_sim import UsageError, load_scenario
 from skd_sim.inputs.files import finite_number, parse_json, read_bytes, read_json, read_text, read_xml
 from skd_sim.inputs.yaml_file import LARGEST, parse_yaml, to_yaml
-from skd_sim.scenario.scenario import load_scenario
 
 
 def test_only_regular_files_of_some_size_are_read(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from skd_sim import AdversaryState, CarState, Frame, Outcome, load_scenario
 from skd_sim.ros.lockstep import (
     LEAD,
     Action,
@@ -19,10 +20,7 @@ from skd_sim.ros.lockstep import (
     Start,
     WaitLimits,
 )
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.simulator import Frame
-from skd_sim.world.episode import AbortKind, Outcome, kind_of
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.episode import AbortKind, kind_of
 from skd_sim.world.timing import period_stamp, tick_stamp
 from skd_sim.world.world import Contact
 

@@ -14,10 +14,7 @@ import numpy as np
 import pytest
 from common import run_skd
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
-from skd_sim.world.state import Trajectory
+from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Scenario, Trajectory, UsageError, load_scenario
 
 if importlib.util.find_spec("metadrive") is None:
     pytest.skip("MetaDrive is not installed: python -m pip install '.[metadrive]'", allow_module_level=True)

@@ -10,11 +10,10 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from shapely import affinity
+from skd_sim import AdversaryState, CarState, EpisodeSpec, Mode, Scenario, load_scenario
 from skd_sim.scenario.road import Part, Road, road_pose, road_position
-from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.dynamics.basic import GRIP, command_limits
-from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.episode import Role, generator
 from skd_sim.world.timing import period_of, period_stamp, tick_stamp
 from skd_sim.world.world import World, make_world
 

@@ -7,9 +7,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+from skd_sim import AdversaryState, CarState, Scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import AdversaryState, CarState
 
 TICK = 3
 """At which it happens."""
