@@ -18,6 +18,8 @@ from skd_sim.world.world import first_car_state
 
 from skd_evaluator.margin.search.candidates import ActionSpace
 
+_TURNS = 0.5  # m by which the path that a car takes in a tick may be off a straight line
+
 
 def undisturbed_car(episode: EpisodeSpec) -> FloatArray:
     """Return x, y (m), heading (rad) and speed (m/s) of a car at each tick that keeps its first speed, n × 4."""
@@ -85,26 +87,30 @@ def _best_detour(
     """Return deviation, tick in which a trajectory is left (−1: never), action, and for how many ticks."""
     step, hit_speed, bound = limits
     reach = shape[0] if shape[0] > 0.0 else math.hypot(shape[1], shape[2])
-    size = math.hypot(max(footprint[0], footprint[1]), footprint[2]) + reach
+    touching = math.hypot(max(footprint[0], footprint[1]), footprint[2]) + reach + _TURNS
+    fastest = 0.0
+    for velocity in table.reshape(-1, 2):
+        fastest = max(fastest, velocity[0] ** 2 + velocity[1] ** 2)
+    fastest = math.sqrt(fastest)
     best = (-1, -1, 0)
     deviated = 0.0
     for begin in range(users.shape[0] - 1):
         deviated = max(deviated, math.hypot(users[begin, 0] - phi[begin, 0], users[begin, 1] - phi[begin, 1]))
         if deviated >= bound:
             break
-        if begin < first:
+        last = min(begin + longest, users.shape[0] - 1)
+        if begin < first or not _may_meet(users[begin], cars[begin : last + 1], touching, step, fastest):
             continue
         for action in range(table.shape[1]):
             x, y, most = users[begin, 0], users[begin, 1], deviated
-            for tick in range(begin, min(begin + longest, users.shape[0] - 1)):
+            for tick in range(begin, last):
                 held = min(tick - begin, table.shape[2] - 1)
                 vx, vy = table[tick - held, action, held, 0], table[tick - held, action, held, 1]
                 x_to, y_to = x + step * vx, y + step * vy
                 away, away_y = x - phi[tick, 0], y - phi[tick, 1]
                 away_to, away_y_to = x_to - phi[tick + 1, 0], y_to - phi[tick + 1, 1]
-                apart = math.hypot(x - cars[tick, 0], y - cars[tick, 1])
-                near = size + step * (2.0 + max(cars[tick, 3], cars[tick + 1, 3]) + math.hypot(vx, vy))
-                if apart <= near:
+                east, north, east_to, north_to = cars[tick, 0], cars[tick, 1], cars[tick + 1, 0], cars[tick + 1, 1]
+                if _least_distance(x - east, y - north, x_to - east_to, y_to - north_to) <= touching:
                     path, heading, ends = cars[tick : tick + 2], math.atan2(vy, vx), (x_to, y_to)
                     share, impact = sweep(path, (x, y), ends, (vx, vy), heading, footprint, shape, step, 0, 1)
                     if share <= 1.0:
@@ -118,3 +124,22 @@ def _best_detour(
                     break
                 x, y = x_to, y_to
     return bound, *best
+
+
+@kernel
+def _may_meet(user: FloatArray, cars: FloatArray, touching: float, step: float, fastest: float) -> bool:
+    """Return whether a road user who goes anywhere from the first tick on can be so near (m) the car in some tick."""
+    for tick in range(cars.shape[0] - 1):
+        moved = step * (max(cars[tick, 3], cars[tick + 1, 3]) + (tick + 1) * fastest)
+        if math.hypot(user[0] - cars[tick, 0], user[1] - cars[tick, 1]) <= touching + moved:
+            return True
+    return False
+
+
+@kernel
+def _least_distance(x: float, y: float, x_to: float, y_to: float) -> float:
+    """Return the least distance between the origin and a segment."""
+    along, up = x_to - x, y_to - y
+    square = along * along + up * up
+    share = min(1.0, max(0.0, -(x * along + y * up) / square)) if square > 0.0 else 0.0
+    return math.sqrt((x + share * along) ** 2 + (y + share * up) ** 2)

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
-from skd_sim.world.state import IntArray
+from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.margin.search.candidates import ActionSpace, Candidate, changed, excursion
 from skd_evaluator.margin.search.detours import detour, undisturbed_car
@@ -45,7 +45,7 @@ class Proposal(NamedTuple):
     trial: int
     source: str
     candidate: Candidate
-    episode: EpisodeSpec
+    path: FloatArray
 
 
 @dataclass
@@ -159,9 +159,9 @@ class Group:
         """Return the first candidate of a queue that may be better than the best of a trial."""
         while queue:
             candidate, source = queue.popleft()
-            episode = self.trials[index].specification(candidate)
-            if episode is not None:
-                return Proposal(index, source, candidate, episode)
+            path = self.trials[index].path(candidate)
+            if path is not None:
+                return Proposal(index, source, candidate, path)
         return None
 
     def learn(self, proposal: Proposal, log: EpisodeLog) -> None:
@@ -259,17 +259,16 @@ def search(groups: Sequence[Group], drive: Drive) -> None:
     """
     known: dict[tuple[int, bytes], EpisodeLog] = {}
     while any(group.is_open for group in groups):
-        proposals = [(group, proposal) for group in groups for proposal in group.proposals()]
-        keys = [_driven(proposal.episode) for _, proposal in proposals]
-        new = [(key, one.episode) for key, (_, one) in zip(keys, proposals, strict=True) if key not in known]
+        proposals = [(group.trials[one.trial], group, one) for group in groups for one in group.proposals()]
+        keys = [(trial.episode.episode_id, one.path.tobytes()) for trial, _, one in proposals]
+        new = {
+            key: trial.specification(one.path)
+            for key, (trial, _, one) in zip(keys, proposals, strict=True)
+            if key not in known
+        }
         if new:
-            known.update(zip((key for key, _ in new), drive([episode for _, episode in new]), strict=True))
-        for key, (group, proposal) in zip(keys, proposals, strict=True):
+            known.update(zip(new, drive(list(new.values())), strict=True))
+        for key, (_, group, proposal) in zip(keys, proposals, strict=True):
             group.learn(proposal, known[key])
             if known[key].outcome == Outcome.ABORTED:  # it may not be again
                 del known[key]
-
-
-def _driven(episode: EpisodeSpec) -> tuple[int, bytes]:
-    assert episode.safe_trajectory is not None
-    return episode.episode_id, episode.safe_trajectory.positions.tobytes()

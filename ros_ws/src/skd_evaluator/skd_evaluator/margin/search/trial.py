@@ -70,15 +70,16 @@ class Trial:
         """Whether nothing less can be found."""
         return self.least <= ENOUGH
 
-    def specification(self, candidate: Candidate) -> EpisodeSpec | None:
-        """Return the episode that drives a candidate as far as it is of use; None: it cannot be better than the best.
-
-        It is a replay, so any stack and any simulator can run it. The car starts as in the trial.
-        """
+    def path(self, candidate: Candidate) -> FloatArray | None:
+        """Return a candidate as far as it is of use, n × 2, m; None: it cannot be better than the best."""
         last = candidate.last_tick(self.least)
-        if last < 0:
-            return None
-        path = candidate.positions[: last + 2]
+        return None if last < 0 else candidate.positions[: last + 2]
+
+    def specification(self, path: FloatArray) -> EpisodeSpec:
+        """Return the episode in which the road user follows a path (n × 2, m); the car starts as in the trial.
+
+        It is a replay, so any stack and any simulator can run it.
+        """
         return replace(self.prescribed, safe_trajectory=Trajectory(path, self.episode.scenario.time_step))
 
     def learn(self, candidate: Candidate | None, log: EpisodeLog) -> bool:
