@@ -45,8 +45,7 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.difference import Difference, difference
 from skd_sim.options.adversary import Objective
-from skd_sim.ros_environment.installation import is_ready
-from skd_sim.ros_environment.variables import enter_ros
+from skd_sim.ros_environment.installation import enter_ros, is_ready
 from skd_sim.scenario.scenario import load_scenario
 from wide_scenarios import HITS, TRUTHS, Manner, Truth, outcomes
 

@@ -19,8 +19,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
-from skd_sim.controllers.learned_policy import WEIGHTS, LearnedPolicy, acceleration_of, features
-from skd_sim.controllers.reference_drivers import PERIOD
+from skd_sim.controllers.reference_drivers import PERIOD, WEIGHTS, LearnedPolicy, acceleration_of, features
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import AdversaryState, CarState, Scene
 from stable_baselines3 import PPO

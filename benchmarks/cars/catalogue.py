@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from skd_sim.controllers.loading import make_controller
-from skd_sim.controllers.protocol import control_period_of, with_control_period
+from skd_sim.controllers.controller import control_period_of, make_controller, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, load_scenario

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from skd_sim.controllers.carla_agent import sub_steps
+from skd_sim.controllers.cal import sub_steps
 from skd_sim.controllers.reference_drivers import PUBLISHED, IdmConstants, idm_acceleration
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame

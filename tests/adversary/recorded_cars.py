@@ -8,7 +8,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.car_logs import recording_of
 from skd_sim import AdversaryState, CarState, Controller, Scenario, load_scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.controllers.protocol import control_period_of, with_control_period
+from skd_sim.controllers.controller import control_period_of, with_control_period
 
 SCENARIO = load_scenario("crossing")
 KAPPA = SCENARIO.car.safe_distance

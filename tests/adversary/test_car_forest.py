@@ -26,6 +26,7 @@ from skd_adversary.crossing.cars import (
     CHANGE,
     CHANGE_BEFORE,
     FOREST_STATE_DIM,
+    POSE,
     RECEDING,
     SIDEWAYS,
     TREE,
@@ -33,14 +34,12 @@ from skd_adversary.crossing.cars import (
     unknown_car,
 )
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM
-from skd_adversary.crossing.model import compose
+from skd_adversary.crossing.model import CURVED, STRAIGHT, compose
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import road_user_named
-from skd_adversary.crossing.roads import CURVED, STRAIGHT
-from skd_adversary.crossing.sensors import POSE
 from skd_sim import AdversaryState, CarState, Scenario, UsageError, load_scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.controllers.loading import user_controller
+from skd_sim.controllers.controller import user_controller
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.road import beside_road, road_pose
 from skd_sim.world.contact import to_car_frame

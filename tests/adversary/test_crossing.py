@@ -26,11 +26,9 @@ from skd_adversary.crossing.interfaces import (
     template,
     velocity,
 )
-from skd_adversary.crossing.model import compose, transition_parts
-from skd_adversary.crossing.objectives import PAPER, objective_named
-from skd_adversary.crossing.path import polyline_distance, polyline_segments
+from skd_adversary.crossing.model import CURVED, STRAIGHT, compose, transition_parts
+from skd_adversary.crossing.objectives import PAPER, objective_named, polyline_distance, polyline_segments
 from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, PEDESTRIAN, STAY, action_velocity, road_user_named
-from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_sim import CarState, EpisodeSpec, Mode, Scenario, Trajectory, kernel, load_scenario
 from skd_sim.controllers.basic import BasicController
 from skd_sim.options.adversary import OBJECTIVES

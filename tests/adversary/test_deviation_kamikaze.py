@@ -14,8 +14,7 @@ from skd_adversary.crossing.cars import FITTED_STATE_DIM, WAITING_REWARD, Learne
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.kamikaze import DEVIATION
 from skd_adversary.crossing.model import compose
-from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
-from skd_adversary.crossing.path import first_row, next_row
+from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS, first_row, next_row
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, EAST, STAY
 from skd_adversary.pomdp.model import Pomdp
 from skd_evaluator import deviation, run_episode

@@ -11,7 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim import EpisodeSpec, Mode, Trajectory, load_scenario
-from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.controller import make_controller
 
 CROSSING = load_scenario("crossing")
 EYES = Eyes(CROSSING)

@@ -10,7 +10,7 @@ from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import check_controller
 from skd_sim import AdversaryState, CarState, EpisodeSpec, Frame, Mode, Outcome, Scenario, UsageError, WorldSimulator
-from skd_sim.controllers.loading import user_controller
+from skd_sim.controllers.controller import user_controller
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest
 

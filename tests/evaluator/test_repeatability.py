@@ -16,7 +16,7 @@ from skd_evaluator.assessment.episode_figures import standing
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.stages.checks import driving, repeatability
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
-from skd_sim.controllers.protocol import Controller
+from skd_sim.controllers.controller import Controller
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

@@ -8,8 +8,7 @@ import pytest
 import yaml
 from skd_evaluator import AssessmentError, run_episode
 from skd_evaluator.cli.main import main
-from skd_sim.controllers.loading import user_controller
-from skd_sim.controllers.protocol import SensingController
+from skd_sim.controllers.controller import SensingController, user_controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.controllers.protocol import Controller
+from skd_sim.controllers.controller import Controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario

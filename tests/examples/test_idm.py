@@ -18,7 +18,7 @@ from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partne
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.controllers.protocol import Controller, with_control_period
+from skd_sim.controllers.controller import Controller, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.road import HEADING_NORTH

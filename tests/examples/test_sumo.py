@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim import AdversaryState, CarState, EpisodeSpec, Mode, Outcome, Trajectory, UsageError, load_scenario
-from skd_sim.controllers.protocol import Controller, with_control_period
+from skd_sim.controllers.controller import Controller, with_control_period
 from skd_sim.scenario.road import HEADING_NORTH
 from sumo_drivers import EGO, LANE, LANE_END, PERSON, STEP, Eidm, Idm, Krauss, SumoDriver
 

@@ -29,12 +29,11 @@ from rclpy.signals import SignalHandlerOptions
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim import AdversaryState, EpisodeSpec, Mode, Outcome, load_scenario
+from skd_sim.ros.carla_bridge import Placement
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.ros.support import LATCHED, STREAM, Topic
 from skd_sim.ros.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
-from skd_sim.ros_environment.installation import ensure_messages
-from skd_sim.ros_environment.variables import is_sourced
-from skd_sim.simulators.carla import Placement
+from skd_sim.ros_environment.installation import ensure_messages, is_sourced
 from skd_sim.world.world import make_world
 
 FRAME = 0.05

@@ -18,7 +18,7 @@ from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from skd_sim import EpisodeSpec, Frame, Mode, WorldSimulator, load_scenario
 from skd_sim.options.options import StateOptions
 from skd_sim.ros.from_messages import odometry_to_adversary
-from skd_sim.ros.state_publisher import StatePublisher
+from skd_sim.ros.simulator_node import StatePublisher
 from skd_sim.world.timing import period_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage

@@ -28,8 +28,14 @@ import yaml
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.ros_environment.installation import cmake_prefix, ensure_ros, environment_digest, locked
-from skd_sim.ros_environment.variables import is_sourced, node_variables
+from skd_sim.ros_environment.installation import (
+    cmake_prefix,
+    ensure_ros,
+    environment_digest,
+    is_sourced,
+    locked,
+    node_variables,
+)
 
 BIN = Path(sys.executable).parent
 _PYTHON = """#!/bin/bash

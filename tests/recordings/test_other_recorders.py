@@ -13,7 +13,7 @@ from mcap.writer import CompressionType
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
 from skd_evaluator import Plan, run_episode
-from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.controller import make_controller
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import FramedSimulator

@@ -13,7 +13,7 @@ from skd_evaluator.ros import session
 from skd_evaluator.ros.processes import CONTROLLER, graph_programs
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.ros_environment.variables import (
+from skd_sim.ros_environment.installation import (
     GUARD,
     foreign_variables,
     is_sourced,
@@ -59,7 +59,7 @@ def python(program: str, **changes: str | None) -> subprocess.CompletedProcess[s
 
 
 def test_a_process_begins_anew_only_where_it_has_to():
-    begun = "from skd_sim.ros_environment.variables import enter_ros; print('begun')"
+    begun = "from skd_sim.ros_environment.installation import enter_ros; print('begun')"
     program = f"{begun}; enter_ros(); import rclpy; print('there')"
     assert python(program, **{GUARD: "1"}).stdout == "begun\nbegun\nthere\n"
     assert python(program, **node_variables({})).stdout == "begun\nthere\n"

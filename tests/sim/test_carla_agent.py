@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from skd_sim.controllers.carla_agent import (
+from skd_sim.controllers.cal import (
     DRAG,
     MAXIMUM_ACCELERATION,
     CarlaAgent,
@@ -17,9 +17,9 @@ from skd_sim.controllers.carla_agent import (
     speed_factor,
     sub_steps,
 )
+from skd_sim.ros.carla_bridge import Placement, adversary_from_odometry, pedals, steer, walker_control
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.carla import Placement, adversary_from_odometry, pedals, steer, walker_control
 from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled
 
 CROSSING = load_scenario("crossing")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from skd_sim import AdversaryState, CarState, Controller, Scan, Scene, UsageError, load_scenario
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS, BasicController
-from skd_sim.controllers.loading import make_controller, user_controller
+from skd_sim.controllers.controller import make_controller, user_controller
 from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.scenario.road import HEADING_NORTH
 

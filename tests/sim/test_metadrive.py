@@ -137,7 +137,7 @@ def test_a_fork_of_a_process_with_an_engine_is_refused() -> None:
 def test_the_expert_draws_from_what_metadrives_own_code_says() -> None:
     """Its mean at every decision of two episodes is that of MetaDrive's own function, at the same moment."""
     from metadrive.examples.ppo_expert import numpy_expert
-    from skd_sim.simulators.metadrive.expert import MetaDriveExpert, distribution
+    from skd_sim.simulators.metadrive.simulator import MetaDriveExpert, distribution
 
     found = []
 

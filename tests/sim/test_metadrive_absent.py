@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.controllers.loading import make_controller
+from skd_sim.controllers.controller import make_controller
 from skd_sim.errors import UsageError
 from skd_sim.simulators.metadrive.pedals import MeasuredPedal, Pedals
 from skd_sim.simulators.simulator import make_simulator, repeats_itself

@@ -7,9 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from skd_sim.controllers import learned_policy
-from skd_sim.controllers.loading import make_controller
-from skd_sim.controllers.protocol import with_control_period
+from skd_sim.controllers import reference_drivers
+from skd_sim.controllers.controller import make_controller, with_control_period
 from skd_sim.controllers.reference_drivers import IdmConstants, RelativeState, idm_acceleration
 from skd_sim.options.car_under_test import REFERENCE_DRIVERS
 from skd_sim.scenario.scenario import changed_scenario, load_scenario
@@ -198,18 +197,18 @@ def test_the_brake_of_f1tenth_begins_a_second_before_what_stands_ahead():
 @pytest.mark.parametrize("policy", ["broad", "narrow"])
 def test_a_learned_policy_is_its_network(policy):
     """Against the product of matrices; and an output of −1 is full braking, of 1 the acceleration of who resumes."""
-    driver = learned_policy.LearnedPolicy()
+    driver = reference_drivers.LearnedPolicy()
     driver.policy = policy
-    seen = learned_policy.features(situation(12.0, 8.0, 0.5, aside=0.7, closing=1.5))
+    seen = reference_drivers.features(situation(12.0, 8.0, 0.5, aside=0.7, closing=1.5))
     values = np.array([12.0 / 20.0, 0.7 / 3.0, 1.0, 0.2, 0.6])
     assert seen == pytest.approx(values)
-    layers = json.loads(learned_policy.WEIGHTS.read_text(encoding="utf-8"))[policy]
+    layers = json.loads(reference_drivers.WEIGHTS.read_text(encoding="utf-8"))[policy]
     assert [len(one["bias"]) for one in layers] == [16, 16, 1]
     for place, one in enumerate(layers):
         values = values @ np.array(one["weights"]) + one["bias"]
         values = values if place == 2 else np.maximum(values, 0.0)
     assert driver._output(seen) == pytest.approx(values[0])
-    assert [learned_policy.acceleration_of(one) for one in (-5.0, -1.0, 1.0, 5.0)] == [-8.0, -8.0, 1.0, 1.0]
+    assert [reference_drivers.acceleration_of(one) for one in (-5.0, -1.0, 1.0, 5.0)] == [-8.0, -8.0, 1.0, 1.0]
 
 
 def test_drivers_see_everybody():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from skd_adversary.adversary import ReplayAdversary
 from skd_evaluator.assessment.plausibility import ROUNDING, implausible, recompute, touches
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_sim.controllers.protocol import takes_scene
+from skd_sim.controllers.controller import takes_scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Obstacle, Scenario, check_trajectory, load_scenario, scenario_from_dict
 from skd_sim.world.contact import clearance, runs_into

@@ -11,7 +11,7 @@ import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.options.options import Frames
-from skd_sim.ros.state_publisher import robot_description
+from skd_sim.ros.simulator_node import robot_description
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, Scenario, load_scenario, scenario_from_dict
 from skd_sim.scenario.scenario_file import shipped_scenarios

@@ -16,7 +16,7 @@ from skd_evaluator.assessment.stages.kamikazes import with_steering
 from skd_evaluator.metrics.contact_place import car_at_contact
 from skd_evaluator.metrics.deviation import hit_of
 from skd_evaluator.metrics.price_of_caution import lanes_left
-from skd_sim.controllers.loading import user_controller
+from skd_sim.controllers.controller import user_controller
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.adversary import AdversaryModel
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict

@@ -22,10 +22,9 @@ from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, Fitted
 from skd_adversary.car_models.forest import TICK, gridded, pack
 from skd_adversary.car_models.identifiability import Identification
 from skd_adversary.crossing.cars import CarModel, LearnedCar, known_basic_car, unknown_car
-from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, CarPrediction
+from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, CarPrediction, path_velocities
 from skd_adversary.crossing.model import compose, road_user_parts
 from skd_adversary.crossing.objectives import SAFE, objective_named
-from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.planner import Planner

@@ -1,5 +1,5 @@
-from skd_sim.controllers.protocol import Controller as Controller
-from skd_sim.controllers.protocol import SensingController as SensingController
+from skd_sim.controllers.controller import Controller as Controller
+from skd_sim.controllers.controller import SensingController as SensingController
 from skd_sim.errors import UsageError as UsageError
 from skd_sim.kernels.compilation import kernel as kernel
 from skd_sim.scenario.scenario import Scenario as Scenario

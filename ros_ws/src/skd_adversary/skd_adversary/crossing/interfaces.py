@@ -105,6 +105,36 @@ within = kernel(inline=True)(inside)
 """As `skd_sim.scenario.ending.inside`, for kernels."""
 
 
+@kernel(inline=True)
+def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float, float]:
+    """Return φ's own velocity (East, North), m/s, from a tick to the next: that of the action *as φ* of who can.
+
+    Args:
+        path: φ, n × 2, m.
+        tick: ≥ 0; from n − 1 on φ stands still.
+        time_step: s.
+    """
+    if tick + 1 >= path.shape[0]:
+        return 0.0, 0.0
+    return (path[tick + 1, 0] - path[tick, 0]) / time_step, (path[tick + 1, 1] - path[tick, 1]) / time_step
+
+
+@kernel(inline=True)
+def pace_at(pace: FloatArray, tick: int) -> tuple[float, float]:
+    """Return `path_velocity` of a tick, looked up: `pace` is `path_velocities` of φ's ticks, m/s."""
+    if tick >= pace.shape[0]:
+        return 0.0, 0.0
+    return pace[tick, 0], pace[tick, 1]
+
+
+def path_velocities(path: FloatArray, ticks: int, time_step: float) -> FloatArray:
+    """Return `path_velocity` of ticks 0 … ticks − 1, ticks × 2, m/s."""
+    found = np.zeros((ticks, 2))
+    own = min(ticks, len(path) - 1)
+    found[:own] = (path[1 : own + 1] - path[:own]) / time_step
+    return found
+
+
 @template
 def leads_nowhere(parameters: Any, x: float, y: float, x_after: float, y_after: float) -> bool:
     """Return whether a step ends where the car cannot be met any more, or leads into something that stands."""

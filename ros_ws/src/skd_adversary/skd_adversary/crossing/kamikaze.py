@@ -54,6 +54,8 @@ from skd_adversary.crossing.interfaces import (
     next_possible,
     next_velocity,
     on_road,
+    pace_at,
+    path_velocities,
     pointing,
     possible,
     sensible,
@@ -62,7 +64,6 @@ from skd_adversary.crossing.interfaces import (
     to_middle,
     velocity,
 )
-from skd_adversary.crossing.path import pace_at, path_velocities
 from skd_adversary.crossing.road_users import EAST, SOUTH
 
 _OWN = 3

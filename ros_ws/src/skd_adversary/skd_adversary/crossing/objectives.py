@@ -1,6 +1,6 @@
 """What the adversary wants: the safe crossing, the paper's kamikaze, and the kamikaze of least Fréchet distance.
 
-The kamikaze of least deviation stands in `deviation`. Objectives of kamikazes are found by name
+The kamikaze of least deviation stands in `kamikaze`. Objectives of kamikazes are found by name
 (`skd_sim.options.adversary.OBJECTIVES`), those of installed packages among them.
 
 *Safe*, 𝒫° (paper, section "Generating Safe Trajectories"): reach the destination as fast as possible without a
@@ -49,7 +49,6 @@ from skd_adversary.crossing.interfaces import (
     velocity,
     within,
 )
-from skd_adversary.crossing.path import first_row, next_row, polyline_distance, polyline_segments
 from skd_adversary.crossing.road_users import DIRECTION_EAST, EAST, NORTH, NORTH_EAST, SOUTH, SOUTH_EAST, STAY
 
 
@@ -68,6 +67,32 @@ def objective_named(name: str) -> ObjectiveModel:
 PAPER_REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weight": 1.0}
 """The paper names no numbers. One step's delay costs (1 − γ)·100 = 5, as much as a step spent 5 m away from φ, so
 "as fast as possible" and "close to φ" both count at the scale of a lane. The same for every car and every C."""
+
+
+def polyline_segments(path: FloatArray) -> FloatArray:
+    """Return the segments of a polyline as rows (x, y, Δx, Δy, 1/length²); 0 for the last where the length is.
+
+    Args:
+        path: n × 2, m; with one point, its only segment begins and ends there.
+    """
+    begin, end = (path[:-1], path[1:]) if len(path) > 1 else (path, path)
+    along = end - begin
+    squared = (along**2).sum(axis=1)
+    inverse = np.divide(1.0, squared, out=np.zeros_like(squared), where=squared > 0.0)
+    return np.column_stack([begin, along, inverse])
+
+
+@kernel(inline=True)
+def polyline_distance(x: float, y: float, segments: FloatArray) -> float:
+    """Return the distance (m) from (x, y) to the polyline whose `polyline_segments` are given."""
+    best = math.inf
+    for i in range(segments.shape[0]):
+        along_x, along_y = segments[i, 2], segments[i, 3]
+        px, py = x - segments[i, 0], y - segments[i, 1]
+        s = min(1.0, max(0.0, (px * along_x + py * along_y) * segments[i, 4]))
+        dx, dy = px - s * along_x, py - s * along_y
+        best = min(best, dx * dx + dy * dy)
+    return math.sqrt(best)
 
 
 @template
@@ -162,6 +187,57 @@ taken only for 0.1 m. A step costs 8 cm: looking at a standing car once more sha
 less than that after a few looks, and without it an adversary looks on until the horizon."""
 
 _MOST_DIAGONALS = 4  # more would come no nearer to the edge of the path for the steps that they take
+
+
+# The discrete Fréchet distance, one point of ψ at a time: Eiter and Mannila (TR CD-TR 94/64, 1994) fill a table c[i, j]
+# row by row; a row is all that the next one needs. Carried in the state, the row makes the bottleneck of the whole
+# trajectory a function of state and next point. Values are squared distances, m².
+
+
+@kernel(inline=True)
+def first_row(x: float, y: float, path: FloatArray, rows: FloatArray, begin: int) -> None:
+    """Write the row of ψ = ((x, y)): entry j is the squared distance of ψ to the first j + 1 points of φ.
+
+    Args:
+        x: place of the new point of ψ to the East, m.
+        y: place of the new point of ψ to the North, m.
+        path: φ, n × 2, m.
+        rows: array whose entries begin … begin + n − 1 are the row, m²; written.
+        begin: index at which the row begins. (A slice would cost more than the row.)
+    """
+    worst = 0.0
+    for j in range(path.shape[0]):
+        dx, dy = x - path[j, 0], y - path[j, 1]
+        worst = max(worst, dx * dx + dy * dy)
+        rows[begin + j] = worst
+
+
+@kernel(inline=True)
+def next_row(x: float, y: float, path: FloatArray, rows: FloatArray, after: FloatArray, begin: int) -> float:
+    """Write the row of ψ extended by (x, y), and return its least value: no continuation can come closer than that.
+
+    Args:
+        x: place of the new point of ψ to the East, m.
+        y: place of the new point of ψ to the North, m.
+        path: φ, n × 2, m.
+        rows: holds the row of ψ so far, as in `first_row`; may be `after` itself.
+        after: receives the new row at the same place.
+        begin: index at which the row begins.
+    """
+    diagonal = math.inf  # c[i − 1, j − 1]
+    beside = math.inf  # c[i, j − 1]
+    least = math.inf
+    for j in range(path.shape[0]):
+        above = rows[begin + j]
+        dx, dy = x - path[j, 0], y - path[j, 1]
+        link = dx * dx + dy * dy
+        reach = above if above < diagonal else diagonal
+        reach = beside if beside < reach else reach
+        diagonal = above
+        beside = link if link > reach else reach
+        after[begin + j] = beside
+        least = beside if beside < least else least
+    return least
 
 
 @template

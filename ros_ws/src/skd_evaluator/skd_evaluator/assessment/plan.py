@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import check_kind
-from skd_sim.controllers.protocol import with_control_period
+from skd_sim.controllers.controller import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import check_adversary_model
 from skd_sim.options.car_under_test import DEFAULT, CarUnderTest, is_own_world

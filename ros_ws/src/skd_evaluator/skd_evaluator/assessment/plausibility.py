@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 from skd_adversary.car_models.car_model_file import fitted_car
+from skd_adversary.crossing.interfaces import path_velocities
 from skd_adversary.crossing.model import choices
 from skd_adversary.crossing.objectives import objective_named
-from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.controllers.basic import BasicController
 from skd_sim.kernels.compilation import kernel

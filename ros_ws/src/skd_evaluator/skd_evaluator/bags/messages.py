@@ -31,8 +31,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
-from skd_sim.ros_environment.installation import message_package, packages_without_wheel
-from skd_sim.ros_environment.variables import PREFIX
+from skd_sim.ros_environment.installation import PREFIX, message_package, packages_without_wheel
 
 from skd_evaluator.bags.checks import Damage
 

@@ -38,8 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         begin_command()
         verbose = getattr(arguments, "verbose", False)
         if getattr(arguments, "graph", arguments.command == "episode"):
-            from skd_sim.ros_environment.installation import is_ready
-            from skd_sim.ros_environment.variables import enter_ros
+            from skd_sim.ros_environment.installation import enter_ros, is_ready
 
             if is_ready():
                 enter_ros()  # before anything slow is imported, for it begins this process anew

@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from skd_adversary.crossing.interfaces import path_velocity
 from skd_adversary.crossing.model import choices
-from skd_adversary.crossing.path import path_velocity
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, PEDESTRIAN, STAY, action_velocity, road_user_named
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest

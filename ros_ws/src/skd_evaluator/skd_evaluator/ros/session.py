@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 from skd_sim.errors import UsageError
 from skd_sim.options.options import LOCKSTEP
 from skd_sim.ros.commands import command_format
-from skd_sim.ros_environment.installation import ensure_messages, ensure_ros
-from skd_sim.ros_environment.variables import enter_ros, is_sourced, message_variables
+from skd_sim.ros_environment.installation import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner

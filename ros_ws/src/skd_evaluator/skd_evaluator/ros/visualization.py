@@ -16,7 +16,7 @@ from geometry_msgs.msg import Point, Vector3
 from rclpy.node import Node
 from skd_sim.options.options import MAP_FRAME, CommandOptions
 from skd_sim.ros.commands import Quantity, angle_of_yaw_rate, car_commands
-from skd_sim.ros.state_publisher import CAR_HEIGHT
+from skd_sim.ros.simulator_node import CAR_HEIGHT
 from skd_sim.ros.support import STREAM, Moments, Topic
 from skd_sim.ros.to_messages import header, to_orientation
 from skd_sim.scenario.road import Road

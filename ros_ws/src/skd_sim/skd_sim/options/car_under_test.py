@@ -40,9 +40,9 @@ class ControllerKind:
 _OWN = {
     DEFAULT: ControllerKind("skd_sim.controllers.basic:BasicController", multiplier=True, known=True, own=True),
     "cal": ControllerKind("skd_sim.controllers.cal:CalController", own=True, control_period=0.05),
-    "carla": ControllerKind("skd_sim.controllers.carla_agent:CarlaAgent", own=True),
+    "carla": ControllerKind("skd_sim.controllers.cal:CarlaAgent", own=True),
     "metadrive_expert": ControllerKind(
-        "skd_sim.simulators.metadrive.expert:MetaDriveExpert", own=True, control_period=0.1, simulator="metadrive"
+        "skd_sim.simulators.metadrive.simulator:MetaDriveExpert", own=True, control_period=0.1, simulator="metadrive"
     ),
 }
 _REFERENCE = {
@@ -62,8 +62,8 @@ _FURTHER = {
     "krauss": "reference_drivers:KraussDriver",
     "f1tenth": "reference_drivers:TimeToCollisionBrake",
     "nav2_monitor": "reference_drivers:CollisionMonitor",
-    "rl": "learned_policy:LearnedPolicy",
-    "rl_overtrained": "learned_policy:OvertrainedPolicy",
+    "rl": "reference_drivers:LearnedPolicy",
+    "rl_overtrained": "reference_drivers:OvertrainedPolicy",
 }
 _OWN |= {
     name: ControllerKind(f"skd_sim.controllers.{target}", own=True, control_period=0.1)

@@ -12,8 +12,14 @@ from geometry_msgs.msg import AccelStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import LaserScan
 
-from skd_sim.controllers.loading import make_controller
-from skd_sim.controllers.protocol import Controller, SensingController, require_control_period, require_sensor, sight_of
+from skd_sim.controllers.controller import (
+    Controller,
+    SensingController,
+    make_controller,
+    require_control_period,
+    require_sensor,
+    sight_of,
+)
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import option

@@ -6,8 +6,7 @@ import os
 import sys
 
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment.installation import ensure_ros
-from skd_sim.ros_environment.variables import node_variables
+from skd_sim.ros_environment.installation import ensure_ros, node_variables
 
 
 def main() -> int:

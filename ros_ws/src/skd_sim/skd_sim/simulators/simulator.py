@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, NoReturn, Protocol, TypeVar, cast
 
 import numpy as np
 
-from skd_sim.controllers.loading import failed
+from skd_sim.controllers.controller import failed
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted

@@ -15,10 +15,20 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
-from skd_adversary.crossing.path import path_velocities
-from skd_sim.controllers import protocol
+from skd_adversary.crossing.interfaces import path_velocities
+from skd_sim.controllers.controller import (
+    Controller,
+    UserController,
+    control_period_of,
+    is_sensing,
+    make_controller,
+    require_control_period,
+    require_sensor,
+    sight_of,
+    takes_batches,
+    takes_scene,
+)
 from skd_sim.controllers.isolated import isolated
-from skd_sim.controllers.loading import UserController, make_controller
 from skd_sim.inputs.yaml_file import short
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
@@ -49,7 +59,7 @@ from skd_evaluator.errors import AssessmentError
 
 def run_episode(
     episode: EpisodeSpec,
-    controller: protocol.Controller | None = None,
+    controller: Controller | None = None,
     adversary: Adversary | None = None,
     simulator: Simulator | None = None,
 ) -> EpisodeLog:
@@ -82,15 +92,15 @@ def _examined(log: EpisodeLog) -> EpisodeLog:
 
 
 def _run(
-    episode: EpisodeSpec, controller: protocol.Controller | None, adversary: Adversary | None, simulator: Simulator
+    episode: EpisodeSpec, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
 ) -> EpisodeLog:
     require_others(simulator, type(simulator).__name__, episode)
     frame = simulator.reset(episode)
     car = controller or make_controller(episode.controller, episode.multiplier)
-    protocol.require_sensor(car, episode.controller, episode.scenario)
-    protocol.require_control_period(car, episode.controller, episode.scenario)
-    sensing = car if protocol.is_sensing(car) else None
-    laser, sight = make_laser(episode) if sensing else None, protocol.sight_of(car, episode.scenario)
+    require_sensor(car, episode.controller, episode.scenario)
+    require_control_period(car, episode.controller, episode.scenario)
+    sensing = car if is_sensing(car) else None
+    laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
     car.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     adversary = adversary or make_adversary(episode)
     frames, velocity = [frame], (0.0, 0.0)
@@ -256,7 +266,7 @@ class Replay:
         self._begin = _first_state(episode)
         self._seed = controller_seed(episode.seed, episode.episode_id)
 
-    def run(self, episode: EpisodeSpec, controller: protocol.Controller) -> EpisodeLog:
+    def run(self, episode: EpisodeSpec, controller: Controller) -> EpisodeLog:
         """Run one that differs from the first in its trajectory alone.
 
         Raises:
@@ -268,7 +278,7 @@ class Replay:
         velocities = path_velocities(path.positions, ticks, scenario.time_step)
         state, noise, constants, line = self._begin.copy(), self._noise, self._constants, scenario.road.line
         controller.reset(episode.public_scenario, controller_generator(self._seed))
-        command, sees_scene = controller.command, protocol.takes_scene(controller)
+        command, sees_scene = controller.command, takes_scene(controller)
         found = np.empty((ticks + 1, len(state)))
         found[0] = state
         contact = False
@@ -307,7 +317,7 @@ def answers_batches(car: CarUnderTest) -> bool:
 
 
 def _answers_batches(car: CarUnderTest) -> bool:
-    return protocol.takes_batches(make_controller(car.controller))
+    return takes_batches(make_controller(car.controller))
 
 
 def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
@@ -382,7 +392,7 @@ def _constants(episode: EpisodeSpec) -> FloatArray:
 def _made(episode: EpisodeSpec) -> UserController:
     controller = make_controller(episode.controller)
     assert isinstance(controller, UserController)
-    period = protocol.control_period_of(controller, episode.controller)
+    period = control_period_of(controller, episode.controller)
     assert period is None or abs(period - episode.scenario.control_duration) <= 1e-9
     controller.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     return controller

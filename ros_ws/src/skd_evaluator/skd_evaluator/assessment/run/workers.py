@@ -26,6 +26,7 @@ from types import TracebackType
 from typing import Any, Final, NamedTuple, NoReturn, Self, TypeVar
 
 from skd_sim.controllers.basic import BasicController
+from skd_sim.controllers.controller import control_period_of, make_controller, require_sensor, with_control_period
 from skd_sim.controllers.isolated import (
     CALL_LIMIT,
     IsolatedProcess,
@@ -36,8 +37,6 @@ from skd_sim.controllers.isolated import (
     portable,
     set_call_limit,
 )
-from skd_sim.controllers.loading import make_controller
-from skd_sim.controllers.protocol import control_period_of, require_sensor, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world

@@ -18,8 +18,8 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from skd_sim.controllers.controller import with_control_period
 from skd_sim.controllers.isolated import CALL_LIMIT
-from skd_sim.controllers.protocol import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import EXTERNAL, is_own_world
 from skd_sim.scenario.road import beside_road

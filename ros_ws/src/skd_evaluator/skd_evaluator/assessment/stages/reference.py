@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from skd_sim.controllers.protocol import with_control_period
+from skd_sim.controllers.controller import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
 from skd_sim.kernels.compilation import cache_folder

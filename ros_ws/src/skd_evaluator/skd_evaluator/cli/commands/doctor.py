@@ -16,8 +16,7 @@ from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from typing import Any
 
-from skd_sim.ros_environment.installation import is_ready
-from skd_sim.ros_environment.variables import is_sourced, node_variables
+from skd_sim.ros_environment.installation import is_ready, is_sourced, node_variables
 from skd_sim.start import PACKAGES, environment, installing
 
 from skd_evaluator.cli.arguments import Parser

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from skd_sim.controllers.protocol import with_control_period
+from skd_sim.controllers.controller import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.scenario.scenario_file import REGULATORY, lineage

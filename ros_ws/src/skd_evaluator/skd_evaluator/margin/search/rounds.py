@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from skd_sim.controllers.controller import Controller, is_sensing, make_controller, takes_batches
 from skd_sim.controllers.isolated import isolated
-from skd_sim.controllers.loading import make_controller
-from skd_sim.controllers.protocol import Controller, is_sensing, takes_batches
 from skd_sim.world.episode import EpisodeSpec, Outcome
 
 from skd_evaluator.assessment.context import Progress, Runner

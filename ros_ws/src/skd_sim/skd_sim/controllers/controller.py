@@ -1,22 +1,24 @@
-"""Controllers by name, and a guard around a user's, which may raise anything or answer anything.
+"""What SKD asks of a car under test; controllers by name, and a guard around a user's, which may do anything.
 
-Whatever goes wrong in one is an AssessmentError whose one line names the controller and the line of its code.
+Whatever goes wrong in a user's is an AssessmentError whose one line names the controller and the line of its code.
 """
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
 import os
 import pickle
 import re
+import types
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeGuard, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
-from skd_sim.controllers import protocol
 from skd_sim.controllers.isolated import LOADING, begin_call, end_call
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 from skd_sim.inputs.files import near_or_all
@@ -24,12 +26,170 @@ from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.options.registry import load, place_of, reason_of
-from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario import CONTROL_PERIODS, Scenario, check_control_period
 from skd_sim.world.dynamics.basic import Command, steering_angle, wheels
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, FloatArray, Scene
 
 _Result = TypeVar("_Result")
+
+
+@runtime_checkable
+class Controller(Protocol):
+    """What SKD asks of a controller under test; a class with these two methods is enough.
+
+    A controller that decides more often says so by an attribute `control_period` (s); otherwise the scenario decides.
+    One that steers by the curvature of its path has an attribute `steers_by = "curvature"`.
+    """
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Forget the last episode; draw randomness, if any, from `rng` only."""
+
+    def command(self, car: CarState, adversary: AdversaryState) -> Command:
+        """Return the acceleration (m/s²) for the coming control period, or that and a steering angle.
+
+        The angle is of the front wheels, rad, positive to the left; the curvature is of the rear axle's path, 1/m.
+
+        A controller whose second parameter is called `scene` gets a `skd_sim.world.state.Scene` instead: everybody.
+        """
+
+
+@runtime_checkable
+class SensingController(Controller, Protocol):
+    """A controller that perceives for itself: with this third method it gets the scan of each tick first."""
+
+    def sense(self, scan: Scan) -> None:
+        """Take the scan of the tick for which `command` is called next."""
+
+
+def is_sensing(controller: object) -> TypeGuard[SensingController]:
+    """Tell whether a controller is a `SensingController`; `isinstance` looks through the protocol anew each time."""
+    return all(getattr(controller, method, None) is not None for method in ("reset", "command", "sense"))
+
+
+@runtime_checkable
+class BatchController(Controller, Protocol):
+    """A controller that also answers many episodes at once: it keeps nothing from one command to the next."""
+
+    def commands(self, cars: CarState, scenes: Any) -> Any:
+        """Return the commands of n episodes, an array of n or n × 2; each is what `command` would return there.
+
+        Args:
+            cars: a `CarState` each field of which is an array of n numbers.
+            scenes: what `command` gets as its second argument, with arrays of n numbers for numbers.
+        """
+
+
+def takes_batches(controller: object) -> bool:
+    """Tell whether a controller answers many episodes at once; it, or who wraps it, says so.
+
+    One that takes scans does not: it gets them one by one.
+    """
+    said = getattr(controller, "takes_batches", None)
+    if isinstance(said, bool):
+        return said
+    return isinstance(controller, BatchController) and not is_sensing(controller)
+
+
+def takes_scene(controller: object) -> bool:
+    """Tell whether a controller wants to see all road users and not only the adversary, as it or its wrapper says."""
+    said = getattr(controller, "takes_scene", None)
+    if isinstance(said, bool):
+        return said
+    command = getattr(controller, "command", None)
+    if isinstance(command, types.MethodType) and isinstance(command.__func__, types.FunctionType):
+        return _names_of_method(command.__func__)[2:3] == ("scene",)  # behind self
+    return _names_of(command)[1:2] == ("scene",)
+
+
+def _names_of(command: Any) -> tuple[str, ...]:
+    """Return the names of what a function takes; none where it is not known."""
+    try:
+        return tuple(inspect.signature(command).parameters)
+    except (AttributeError, TypeError, ValueError):  # a user's class may be anything
+        return ()
+
+
+_names_of_method = functools.lru_cache(maxsize=256)(_names_of)
+"""The same, remembered: each episode has a new controller, and to look at its method takes longer than a tick."""
+
+
+def sight_of(controller: object, scenario: Scenario) -> Callable[[CarState, AdversaryState, int, int], Any]:
+    """Return what gives the second argument of `command` from car, adversary, tick and control period."""
+    if not takes_scene(controller):
+        return lambda car, adversary, tick, period: adversary
+    return lambda car, adversary, tick, period: Scene(car, adversary, scenario.others_at(tick, period))
+
+
+def require_sensor(controller: Controller, name: str, scenario: Scenario) -> None:
+    """Refuse a scenario that cannot give a controller, called `name`, the scans that it needs.
+
+    Raises:
+        UsageError: the controller senses, and the scenario has no sensor.
+    """
+    if is_sensing(controller) and scenario.sensor is None:
+        raise UsageError(
+            f"controller {name} needs a laser scan, and scenario {scenario.name} has none: add a section sensor "
+            "as in the shipped scenario crossing"
+        )
+
+
+def control_period_of(controller: object, name: str) -> float | None:
+    """Return the control period (s) that a controller, called `name`, declares; None if it declares none.
+
+    Raises:
+        UsageError: what it declares is no time that there may be between two decisions.
+    """
+    period = getattr(controller, "control_period", None)
+    if period is None:
+        return None
+    number = isinstance(period, (int, float)) and not isinstance(period, bool)
+    least, most = CONTROL_PERIODS
+    if not number or not least <= period <= most:  # compared first: whole numbers may be too large for a float
+        got = f"{min(max(period, -1e300), 1e300):g}" if number else f"something of {type(period).__name__}"
+        raise UsageError(
+            f"controller {name}: control_period must be a number from {least:g} to {most:g} (s), got {got}"
+        )
+    return float(period)
+
+
+def steers_by_curvature(controller: object, name: str) -> bool:
+    """Tell whether the second number of a controller, called `name`, is a curvature and not a steering angle.
+
+    Raises:
+        UsageError: it declares something else.
+    """
+    said = getattr(controller, "steers_by", "angle")
+    if said not in ("angle", "curvature"):
+        raise UsageError(f"controller {name}: steers_by must be angle or curvature, got {said!r:.60}")
+    return bool(said == "curvature")
+
+
+def with_control_period(scenario: Scenario, period: float | None, name: str) -> Scenario:
+    """Return a scenario in which the car decides as often as a controller, called `name`, declares.
+
+    Raises:
+        UsageError: the period does not divide the scenario's time step.
+    """
+    if period is None or period == scenario.control_period:
+        return scenario
+    changed = replace(scenario, control_period=period)
+    check_control_period(changed, f"controller {name} in scenario {scenario.name}")
+    return changed
+
+
+def require_control_period(controller: object, name: str, scenario: Scenario) -> None:
+    """Refuse a scenario in which a controller, called `name`, would decide at other times than it declares.
+
+    Raises:
+        UsageError: it is so.
+    """
+    period = control_period_of(controller, name)
+    if period is not None and abs(period - scenario.control_duration) > 1e-9:
+        raise UsageError(
+            f"controller {name} decides every {period:g} s, but in scenario {scenario.name} a car does so every "
+            f"{scenario.control_duration:g} s: set control_period to {period:g}"
+        )
 
 
 def failed(whose: str, method: str, error: BaseException, code: object = None) -> AssessmentError:
@@ -118,13 +278,13 @@ class UserController:
         takes_batches: whether it answers many episodes at once.
     """
 
-    def __init__(self, controller: protocol.Controller, name: str) -> None:
+    def __init__(self, controller: Controller, name: str) -> None:
         """Stand around `controller`, called `name` in messages."""
         self._controller, self._name = controller, name
         self._scenarios: dict[int, tuple[Scenario, Scenario]] = {}  # by id: each, and the controller's own copy
-        self.control_period = protocol.control_period_of(controller, name)
-        self.takes_scene, self.takes_batches = protocol.takes_scene(controller), protocol.takes_batches(controller)
-        self._by_curvature, self._wheelbase = protocol.steers_by_curvature(controller, name), 0.0
+        self.control_period = control_period_of(controller, name)
+        self.takes_scene, self.takes_batches = takes_scene(controller), takes_batches(controller)
+        self._by_curvature, self._wheelbase = steers_by_curvature(controller, name), 0.0
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on, with a scenario of the controller's own, so that it cannot change the world's."""
@@ -206,9 +366,9 @@ class UserSensingController(UserController):
         self._call("sense", inner.sense, scan)
 
 
-def user_controller(controller: protocol.Controller, name: str) -> UserController:
+def user_controller(controller: Controller, name: str) -> UserController:
     """Return what stands around `controller`, called `name` in messages; it senses where the controller does."""
-    if isinstance(controller, protocol.SensingController):
+    if isinstance(controller, SensingController):
         return UserSensingController(controller, name)
     return UserController(controller, name)
 
@@ -223,7 +383,7 @@ def _class_named(name: str) -> str:
     return next((f"; did you mean {file}:{name}?" for file in files), "")
 
 
-def make_controller(name: str, multiplier: float = 1.0) -> protocol.Controller:
+def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     """Make a controller by name.
 
     Args:
@@ -250,7 +410,7 @@ def make_controller(name: str, multiplier: float = 1.0) -> protocol.Controller:
     target = CONTROLLERS.target(name) if name in CONTROLLERS else car.controller
     if car.is_own:
         factory: Callable[..., object] = load(target, what)
-        return cast(protocol.Controller, factory(multiplier) if car.has_multiplier else factory())
+        return cast(Controller, factory(multiplier) if car.has_multiplier else factory())
     begin_call(LOADING)
     try:
         found = load(target, what)
