@@ -23,8 +23,8 @@ from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.sample_size import expected_width, power, sizes_for_power, sizes_for_width
 from skd_evaluator.metrics.statistics import (
     frechet_probability_bound,
+    jeffreys_interval,
     normal_interval,
-    rare_interval,
     ratio_interval,
     wilson_interval,
 )
@@ -43,14 +43,14 @@ def test_wilson_equals_scipy(counts, confidence):
 def test_the_interval_of_a_rare_event_holds_its_rate_in_exact_enumeration(rate):
     """Wilson's holds 0.002 in 89 % of samples of 60: an event that was seen once moves it above."""
     counts = np.arange(61)
-    ends = np.array([rare_interval(count, 60) for count in counts.tolist()])
+    ends = np.array([jeffreys_interval(count, 60) for count in counts.tolist()])
     holds = (ends[:, 0] <= rate) & (rate <= ends[:, 1])
     assert stats.binom.pmf(counts, 60, rate)[holds].sum() >= 0.92
     assert (ends[0, 0], ends[60, 1]) == (0.0, 1.0)
     exact = np.array([stats.binomtest(count, 60).proportion_ci(method="exact") for count in counts.tolist()])
     assert (ends[1:, 0] >= exact[1:, 0]).all()  # never wider than Clopper and Pearson's
     assert (ends[:-1, 1] <= exact[:-1, 1]).all()
-    assert rare_interval(0, 0) is None
+    assert jeffreys_interval(0, 0) is None
 
 
 @pytest.mark.parametrize("trials", [1, 3, 7, 100, 12345])

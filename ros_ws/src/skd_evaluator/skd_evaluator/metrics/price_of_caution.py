@@ -16,7 +16,7 @@ from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import student_quantile
 from skd_evaluator.metrics.difference import Difference, difference
-from skd_evaluator.metrics.statistics import Interval, mean, rare_interval, sample_variance
+from skd_evaluator.metrics.statistics import Interval, jeffreys_interval, mean, sample_variance
 
 HORIZON: Final = 30.0
 """s after which a car that has not passed is taken for one that never will."""
@@ -93,16 +93,18 @@ class PriceOfCaution:
     def ci95(self, name: str) -> Interval | None:
         """Return the 95 % interval of it; None where a kind, the strata of `time_lost` and `late`, has one run.
 
-        These have two parts, each with its own interval: a typical time of a run that never passes, times the share of
-        such runs, which may be rare; and the rest. Both are joined by the method of variance estimates recovery (Zou
-        and Donner, Statistics in Medicine 27, 2008).
+        These have two parts, each with its own interval: what a run that never passes typically costs more than the
+        others, times the share of such runs, which may be rare; and the rest. Both are joined by the method of variance
+        estimates recovery (Zou and Donner, Statistics in Medicine 27, 2008).
         """
         values = self._of(name)
         if name in _SHARES:
-            return rare_interval(round(sum(values)), len(values))
+            return jeffreys_interval(round(sum(values)), len(values))
         if name == "slow":
             return stratified_interval([""] * len(values), np.array(values))
-        never, stuck = mean([VALUES[name](one._replace(passed=HORIZON)) for one in self.runs]), self._of("deadlock")
+        stuck = self._of("deadlock")
+        passing = [value for value, is_stuck in zip(values, stuck, strict=True) if not is_stuck]
+        never = mean([VALUES[name](one._replace(passed=HORIZON)) for one in self.runs]) - mean(passing or [0.0])
         rest = np.array(values) - never * np.array(stuck)
         of_rest, share = stratified_interval([one.kind for one in self.runs], rest), self.ci95("deadlock")
         if of_rest is None or share is None:

@@ -77,21 +77,16 @@ def score_interval(rate: float, trials: float, quantile: float) -> Interval:
     return low, high
 
 
-def rare_interval(successes: int, trials: int, confidence: float = 0.95) -> Interval | None:
-    """Return the mid-P interval for a proportion (Berry and Armitage, The Statistician 44, 1995).
+def jeffreys_interval(successes: int, trials: int, confidence: float = 0.95) -> Interval | None:
+    """Return Jeffreys's interval for a proportion (Brown, Cai and DasGupta, Statistical Science 16, 2001).
 
-    It inverts the exact test, of which it counts what was observed by half: of rare events it holds 95 %, where
-    Wilson's interval misses one seen by chance. Arguments and what is returned are those of `wilson_interval`.
+    Of rare events it holds 95 %, where Wilson's interval misses one seen by chance. Arguments and what is returned are
+    those of `wilson_interval`.
     """
-    tail = 0.5 * (1.0 - checked_confidence(confidence))
-
-    def low(count: int) -> float:
-        def beyond(rate: float) -> float:
-            return float(0.5 * scipy.special.bdtrc([count - 1, count], trials, rate).sum() - tail)
-
-        return float(scipy.optimize.brentq(beyond, 0.0, 1.0)) if count else 0.0
-
-    return (low(successes), 1.0 - low(trials - successes)) if trials else None
+    tail, prior = 0.5 * (1.0 - checked_confidence(confidence)), (successes + 0.5, trials - successes + 0.5)
+    low = float(scipy.special.betaincinv(*prior, tail)) if successes else 0.0
+    high = float(scipy.special.betaincinv(*prior, 1.0 - tail)) if successes < trials else 1.0
+    return (low, high) if trials else None
 
 
 def normal_interval(values: npt.ArrayLike, confidence: float = 0.95) -> Interval | None:
