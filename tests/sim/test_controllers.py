@@ -2,7 +2,6 @@
 
 import fractions
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,63 +33,6 @@ def test_unknown_controller(name: str) -> None:
         make_controller(name)
 
 
-SOURCE = """
-class Cautious:
-    def reset(self, scenario, rng):
-        self.scenario = scenario
-
-    def command(self, car, adversary):
-        return -1.25
-
-class NoCommand:
-    def reset(self, scenario, rng):
-        pass
-
-class NeedsArguments:
-    def __init__(self, something):
-        pass
-
-class Fails:
-    def __init__(self):
-        raise RuntimeError("no model file")
-
-constant = 3
-"""
-
-
-@pytest.fixture
-def user_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    name = "skd_test_user_controller"
-    (tmp_path / f"{name}.py").write_text(SOURCE, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.delitem(sys.modules, name, raising=False)
-    return name
-
-
-def test_user_controller(user_module: str) -> None:
-    controller = make_controller(f"{user_module}:Cautious")
-    assert isinstance(controller, Controller)
-    controller.reset(SCENARIO, RNG)
-    command = controller.command(CarState(0, 0, HEADING_NORTH, 5), AdversaryState(0, 0, 0, 0))
-    assert command == -1.25
-
-
-@pytest.mark.parametrize(
-    ("class_name", "message"),
-    [
-        ("Absent", "has no Absent"),
-        ("NoCommand", r"needs the method command\(car, adversary\)"),
-        ("NeedsArguments", "TypeError"),
-        ("Fails", "RuntimeError: no model file"),
-        ("constant", "TypeError"),
-    ],
-)
-def test_user_controller_that_does_not_load(user_module: str, class_name: str, message: str) -> None:
-    with pytest.raises(UsageError, match=message) as caught:
-        make_controller(f"{user_module}:{class_name}")
-    assert f"{user_module}:{class_name}" in str(caught.value)
-
-
 FILE = """
 import helper
 class Car:
@@ -103,6 +45,11 @@ class Reads(Car):
 class Braking(Car): pass
 class Takes(Car):
     def __init__(self, cfg): pass
+class Parked:
+    def reset(self, scenario, rng): pass
+class Fails(Car):
+    def __init__(self): raise RuntimeError("no model file")
+constant = 3
 """
 
 
@@ -115,6 +62,7 @@ def test_a_class_of_a_file_is_found_by_its_path_and_two_files_of_one_name_are_tw
         (tmp_path / folder / "car.py").write_text(FILE.replace("helper.VALUE", str(value)))
         (tmp_path / folder / "helper.py").write_text("")
         found.append(make_controller(f"{tmp_path}/{folder}/car.py:Car"))
+    assert all(isinstance(one, Controller) for one in found)
     state = (CarState(0, 0, HEADING_NORTH, 5), AdversaryState(0, 0, 0, 0))
     assert [one.command(*state) for one in found] == [1.0, 2.0]
     monkeypatch.chdir(tmp_path / "one")
@@ -130,8 +78,12 @@ def test_a_class_of_a_file_is_found_by_its_path_and_two_files_of_one_name_are_tw
     ("name", "message"),
     [
         ("car.py:Brakin", r"controller car.py:Brakin: car.py has no Brakin; did you mean 'Braking'\?$"),
+        ("json:Nobody", r"controller json:Nobody: json has no Nobody"),
         ("car.py:Short", r"command must take \(car, adversary\), and takes \(car\) \(car.py, line 7\)$"),
         ("car.py:Takes", r"'cfg'; it is made without arguments \(car.py, line 12\)$"),
+        ("car.py:Parked", r"controller car.py:Parked needs the method command\(car, adversary\)"),
+        ("car.py:Fails", r"controller car.py:Fails.* RuntimeError: no model file"),
+        ("car.py:constant", r"controller car.py:constant.* TypeError"),
         ("car:Car", r"No module named 'car'; .*; did you mean car.py:Car\?$"),
         ("absent:Car", r"No module named 'absent'; is it installed, or on PYTHONPATH\?$"),
         ("nothing.py:Car", "nothing.py: there is no such file"),
