@@ -110,7 +110,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileSche
         def _split_scope(self, nodeid: str) -> str:
             folder, _, name = nodeid.partition("::")[0].rpartition("/")
             if folder.endswith("tests/graph"):
-                return f"graph, {'first' if name < 'test_k' else 'second'} half"
+                return f"graph, {'first' if name < 'test_ev' else 'second'} half"
             return super()._split_scope(nodeid)
 
     return Scheduler(config, log) if config.getoption("dist") == "loadfile" else None

@@ -15,32 +15,34 @@ from skd_evaluator.extensions.protocols.matrices import (
 )
 from skd_evaluator.extensions.protocols.result import Grid, GridCell, points_of
 
-integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
-from euroncap_rating_2026.common import PredictionColor  # noqa: E402
-from euroncap_rating_2026.crash_avoidance import data_model, matrix_processing, test_info  # noqa: E402
-
 TESTS = sorted({matrix.test for name in known_scenarios() if (matrix := matrix_of(name)) is not None})
-FRONTAL = data_model.StageSubelementKey.FC
 GRIDS = 200
 
 
 @pytest.fixture(scope="module")
 def template():
-    """The calculator's test points of each matrix, all rows of which brake, as it has them then."""
+    """The calculator's test points of each matrix, all rows of which brake, as it has them then.
+
+    It is imported here alone, for it reads a workbook, which each process that collects tests would do.
+    """
+    integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
+    from euroncap_rating_2026.common import PredictionColor
+    from euroncap_rating_2026.crash_avoidance import data_model, matrix_processing, test_info
+
     logging.getLogger("euroncap_rating_2026").setLevel(logging.ERROR)
     sheets = integrity._pristine_dfs()
     found = {}
     for test in TESTS:
         name = "FC - Ped & Cyc pred." if test[:2] in ("CP", "CB") else "FC - Car & PTW pred."
         sheet = sheets[name]
-        tests = matrix_processing.get_test_matrix(sheet, test, FRONTAL)
+        tests = matrix_processing.get_test_matrix(sheet, test, data_model.StageSubelementKey.FC)
         if test in ("CPLA day", "CBLA"):
             for one in tests:
                 one.color = PredictionColor.GREEN
                 one.attributes["Function"] = "AEB"
             left, removed, _ = test_info.collapse_cpla_cbla_aeb_duplicate_rows(sheet, tests, test)
             assert len(removed) == 2
-            tests = matrix_processing.get_test_matrix(left, test, FRONTAL)
+            tests = matrix_processing.get_test_matrix(left, test, data_model.StageSubelementKey.FC)
         for one in tests:
             one.attributes["Function"] = "AEB"
         found[test] = tests
@@ -61,14 +63,13 @@ def key_of(one) -> tuple[str, float, float, float | None]:
     )
 
 
+def ours_in(name: str) -> dict[tuple[str, float, float, float | None], MatrixPoint]:
+    turn = {"f": "Farside", "n": "Nearside"}[name[4]] if name[1:4] in ("pta", "bta") else ""
+    return {(turn, point.speed, point.target, point.place): point for point in matrix_of(name).points}
+
+
 def ours(test: str) -> dict[tuple[str, float, float, float | None], MatrixPoint]:
-    found = {}
-    for name in scenarios_of(test):
-        matrix = matrix_of(name)
-        turn = {"f": "Farside", "n": "Nearside"}[name[4]] if name[1:4] in ("pta", "bta") else ""
-        for point in matrix.points:
-            found[turn, point.speed, point.target, point.place] = point
-    return found
+    return {key: point for name in scenarios_of(test) for key, point in ours_in(name).items()}
 
 
 def random_value(draw: random.Random, criterion: Criterion, speed: float) -> float:
@@ -85,6 +86,9 @@ def test_the_matrices_are_those_of_the_calculators_template(template, test):
 
 
 def test_colours_and_points_of_random_grids_are_the_calculators(template):
+    from euroncap_rating_2026.common import PredictionColor
+    from euroncap_rating_2026.crash_avoidance import data_model, matrix_processing, test_info
+
     draw = random.Random(5)
     seen = set()
     for number in range(GRIDS):
@@ -109,20 +113,17 @@ def test_colours_and_points_of_random_grids_are_the_calculators(template):
 
 
 def grids_of(test: str, coloured: dict[tuple[str, float, float, float | None], str]) -> list[Grid]:
-    turns = {"f": "Farside", "n": "Nearside"}
     grids = []
     for name in scenarios_of(test):
-        turn = turns[name[4]] if name[1:4] in ("pta", "bta") else ""
         cells = tuple(
             GridCell(
-                speed=key[1],
-                target=key[2],
-                place=key[3],
+                speed=point.speed,
+                target=point.target,
+                place=point.place,
                 range="standard" if point.standard else "extended",
                 colour=coloured[key],
             )
-            for key, point in ours(test).items()
-            if key[0] == turn
+            for key, point in ours_in(name).items()
         )
         grids.append(Grid(name, "", cells, test))
     return grids

@@ -50,6 +50,10 @@ else
     exec {python} "$@"
 fi
 """
+_NO_CPP = r"""
+list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "^rosidl_typesupport_.*cpp:")
+"""
+"""Messages get their headers for C++, but not the libraries by which it sends them: no node here is written in it."""
 
 
 def instructions(text: str) -> list[tuple[str, str]]:
@@ -216,6 +220,8 @@ def _variables(folder: Path) -> dict[str, str]:
     if not prefix.exists():
         prefix.mkdir(parents=True)
         cmake_prefix(prefix)
+        generators = prefix / "share/rosidl_default_generators/cmake/rosidl_default_generatorsConfig.cmake"
+        generators.write_text(generators.read_text(encoding="utf-8") + _NO_CPP, encoding="utf-8")
     sourced = {
         "ROS_DISTRO": "jazzy",
         "AMENT_PREFIX_PATH": str(prefix),
