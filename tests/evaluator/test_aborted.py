@@ -112,7 +112,7 @@ def test_a_gate_takes_rates_at_their_worst(limit: float, is_least: bool, outcome
     assert (check.passed, check.error, check.failed) == (outcome == "passed", outcome == "error", outcome == "failed")
     if check.error:
         assert check.text == (
-            f"not judged: contact_rate is 0.0526, below {limit:g}, and it would be 0.1 if the car had hit in the "
+            f"not judged: contact_rate is 0.053, below {limit:g}, and it would be 0.1 if the car had hit in the "
             "2 of 40 runs along φ that were aborted"
         )
 

@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -125,12 +126,15 @@ def test_a_replay_is_the_whole_episode_to_the_bit(period, safe):
         )
         outcomes.add(fast.outcome)
     assert outcomes == {Outcome.COLLISION, Outcome.ARRIVED, Outcome.TIMEOUT}
+    controller.command = Mock(side_effect=[0.0, 0.0, AssessmentError("it failed")])
+    with pytest.raises(AssessmentError, match=f"; in a margin run: φ 0, trial 3, t = {2 * (period or 0.3):.2f} s"):
+        replay.run(trial, controller)
 
 
 @pytest.mark.parametrize(("policy", "count"), [("Liar", 20), ("Memory", 20), ("Seldom", 120)])
 def test_two_forms_that_differ_are_said(policy, count, safe):
     """Of what decides, too: who saw which of 20 crossings command was asked in braked in the other 19."""
-    with pytest.raises(AssessmentError, match=r"commands answers .* where command answers"):
+    with pytest.raises(AssessmentError, match=r"commands answers .* where command answers .*; in a risk run: φ"):
         crossed(f"own_policies:{policy}", safe, count)
 
 

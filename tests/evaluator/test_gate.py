@@ -16,6 +16,7 @@ from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.gate import Gate
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
 from skd_evaluator.metrics.statistics import mean
@@ -72,6 +73,11 @@ def test_no_gate_passes_with_figures_that_are_not_credible(result):
     assert Gate((), None, {}).checks(result, None, [])[0].passed
 
 
+def test_a_car_that_stands_has_no_price(result):
+    stands = {**result, "deadlock": 1.0, "time_lost": 0.0, "time_lost_ci95": [0.0, 0.0]}
+    assert "| price of caution (s) | —, never passes, on the empty road either | — | — |" in markdown(stands, [])
+
+
 class Aborting:
     """A runner of whose kamikazes every second trial is aborted."""
 
@@ -125,7 +131,7 @@ CHECKS = [
 ]  # fmt: skip
 
 
-def test_junit_tells_failures_of_the_car_from_errors(result):
+def test_junit_tells_failures_of_the_car_from_errors(result, tmp_path):
     root = ElementTree.fromstring(junit_xml(result, CHECKS).encode())
     (suite,) = root
     assert {key: suite.attrib[key] for key in ("tests", "failures", "errors")} == {
@@ -140,8 +146,11 @@ def test_junit_tells_failures_of_the_car_from_errors(result):
     assert "�" in cases[2][0].text
     assert cases[1][0].text.splitlines() == [CHECKS[1].text, *CHECKS[1].remarks]
     assert float(suite.attrib["time"]) == pytest.approx(result["seconds"], abs=1e-3)
-    lost = ElementTree.fromstring(junit_xml(None, [Check("assessment", "it died", error=True)], car="x:Y").encode())
-    assert lost.attrib["errors"] == "1"
+    gate = Gate((Limit("margin", 0.5),), None, {"junit": tmp_path / "j.xml"})
+    with pytest.raises(AssessmentError), gate.watch("x:Y"):
+        raise AssessmentError("it died")
+    lost = ElementTree.parse(tmp_path / "j.xml").findall(".//testcase[error]")
+    assert [case.attrib["name"] for case in lost] == ["assessment", "margin ≥ 0.5"]
 
 
 def test_the_command_line_decides(skd_here, here, cars):
@@ -165,11 +174,14 @@ def test_the_command_line_decides(skd_here, here, cars):
     ("arguments", "parts"),
     [
         (["--fail-below", "deviatoin=1"], ["--fail-below deviatoin=1", "did you mean 'deviation'?"]),
+        (["--fail-above", "price=1"], ["no figure 'price'", "did you mean time_lost?"]),
+        (["--fail-below", "safety=1"], ["the first are margin, risk_1, time_lost"]),
         (["--fail-below", "deviation=much"], ["FIGURE=NUMBER"]),
         (["--fail-above", "contact_rate=5"], ["--fail-above contact_rate=5", "from 0 to 1, where 0.05 is 5 %"]),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
         (["--junit", "same.out", "--markdown", "./same.out"], ["--junit same.out: --markdown is written there, too"]),
-        (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),
+        (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than nowhere: there is no such folder"]),
+        (["--fail-if-worse-than", "."], ["--fail-if-worse-than .: holds no assessment.json; give a folder that"]),
         (["--junit", "nowhere/j.xml"], ["--junit nowhere/j.xml", "folder"]),
     ],
 )

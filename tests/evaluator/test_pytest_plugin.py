@@ -47,6 +47,9 @@ def test_a_car_is_assessed_once(skd):
 
 def test_one_that_fails(skd):
     assert skd.assess(seed=1).margin > 100.0
+
+def test_a_wrong_folder(skd):
+    assert not skd.assess(seed=1).is_worse_than("nowhere")
 """
 HAS_SKD = SimpleNamespace(skd=SimpleNamespace(distances=SimpleNamespace(mean=1.0)))
 
@@ -58,7 +61,9 @@ def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
     words = [sys.executable, "-m", "pytest", "-p", "skd_evaluator.pytest_plugin", "-p", "no:cacheprovider", "-q"]
     variables = {"PYTEST_ADDOPTS": "", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     done = run_program(*words, "--skd-out", "kept", tmp_path, cwd=tmp_path, **variables)
-    assert "1 failed, 2 passed" in done.stdout, done.stdout + done.stderr
+    assert "2 failed, 2 passed" in done.stdout, done.stdout + done.stderr
+    assert "test_cars.py:19: UsageError" in done.stdout
+    assert "check_folder" not in done.stdout  # of SKD's own code nothing is shown
     assert "<Safety margin " in done.stdout  # what failed says of which car
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["0"]
 
@@ -105,5 +110,8 @@ def test_a_car_without_margin_and_skd_passes_no_test(tmp_path: Path, monkeypatch
     for _ in range(2):
         with pytest.raises(AssessmentError, match=r"MyCar: all 3 are further than.*; SKD is not defined. See"):
             skd.assess(MyCar)
+    figures |= {"skd": 1.0, "margin_note": "it was not requested"}
+    with pytest.raises(AssessmentError, match="margin is not known: it was not requested"):
+        _ = Assessed(figures, tmp_path).margin
     figures["margin"] = 5.0
     assert Assessor(tmp_path).assess(MyCar).figures["margin"] == 5.0

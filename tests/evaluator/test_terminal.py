@@ -1,6 +1,7 @@
 """What a command prints, and the table of figures."""
 
 import json
+import multiprocessing
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,8 +13,10 @@ from rich.table import Table
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, FIGURES, OF_OBJECTIVES, OF_PHI, Of, shown_in
 from skd_evaluator.assessment.files.assessment_json import assessment_schema
 from skd_evaluator.assessment.files.results import read_result
+from skd_evaluator.report.progress import COMPILING, progress_bar
 from skd_evaluator.report.tables import equal_remarks
 from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_sim.kernels.compilation import on_compiling
 
 NOISY = """
 import ctypes, os, subprocess, sys
@@ -67,6 +70,15 @@ def test_quiet_prints_nothing_and_verbose_where_an_error_comes_from(skd_here, he
 )
 def test_a_wrong_name_brings_the_right_one(skd_here, arguments, meant):
     one_line(skd_here(*arguments), 2, f"did you mean {meant!r}?")
+
+
+def test_of_all_workers_one_says_that_it_compiles(capfd):
+    with progress_bar():
+        for _ in range(2):
+            worker = multiprocessing.get_context("fork").Process(target=lambda: on_compiling.pop()())
+            worker.start()
+            worker.join()
+    assert capfd.readouterr().err == f"skd: {COMPILING}\n"
 
 
 def a_table(cells: int = 3) -> Table:

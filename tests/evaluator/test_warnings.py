@@ -140,7 +140,7 @@ def test_a_search_that_has_not_converged_gives_an_upper_bound(how: str, effort: 
     found = {"margin": 2.0, "margin_ci95": (1.5, 2.5), "margin_beyond": 3, "margin_budget": budget}
     result = {**RESULT, **found, "margin_converged": False, "margin_how": f"by up to {budget} {how} commands"}
     said = headline(result)
-    assert "Safety margin at most 2.00 m" in said
+    assert "Safety margin at most 2.000 m" in said
     assert "No hit found in 3 of 12: each counts as 5 m." in said
     twice = 2 * budget * IN_PROCESS.limit // effort.limit
     assert "had not converged at 1024 candidates a trial (no hit in 3 of 12 trials)" in figure_warnings(result)[0]

@@ -16,8 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from skd_sim.errors import UsageError
+
+from skd_evaluator.errors import AssessmentError
 
 _OUT = "--skd-out"
+__tracebackhide__ = True  # pytest shows the test's own line, not those of this module
 
 
 class Unsure:
@@ -43,8 +47,6 @@ class Unsure:
         return format(self._value, spec)
 
     def _refuse(self, *_others: object, **_options: object) -> Any:
-        from skd_evaluator.errors import AssessmentError
-
         raise AssessmentError(f"not judged: {self._name} is {self._value:.6g}, and {self._why}")
 
     def _compare(self, holds: Callable[[Any, Any], Any], other: Any) -> bool:
@@ -95,6 +97,9 @@ def _guarded(figures: Mapping[str, Any], value: Any, path: tuple[str, ...]) -> A
     return value if bound is None else Unsure(value, name, bound.beyond, bound.why)
 
 
+_NOTES = {"margin": "margin_note", "risk_1": "risk_note", "time_lost": "price_note"}
+
+
 class Assessed:
     """An assessment: every key of assessment.json is an attribute, and what fails shows the sentence about the car.
 
@@ -118,6 +123,8 @@ class Assessed:
 
             near = did_you_mean(name, self.figures) or "; its `figures` has them all"
             raise AttributeError(f"an assessment has no figure {name!r}{near}")
+        if self.figures[name] is None and (why := self.figures.get(_NOTES.get(name, ""))):
+            raise AssessmentError(f"{name} is not known: {why}")
         return _guarded(self.figures, self.figures[name], (name,))
 
     def __repr__(self) -> str:
@@ -135,15 +142,22 @@ class Assessed:
                 is not.
         """
         from skd_evaluator.assessment.files.results import read_result
-        from skd_evaluator.errors import AssessmentError
         from skd_evaluator.margin.common_trajectories import check_not_worse
 
-        check = check_not_worse(self.folder, read_result(Path(earlier).expanduser()))
+        check = _called(lambda: check_not_worse(self.folder, read_result(Path(earlier).expanduser())))
         if check.error:
             raise AssessmentError("; ".join((f"{check.name}: {check.text}", *check.remarks)))
         if check.remarks:
             warnings.warn(f"compared with {earlier}: {'; '.join(check.remarks)}", stacklevel=2)
         return check.text if check.failed else ""
+
+
+def _called(work: Callable[[], Any]) -> Any:
+    """Return what a function of SKD's does; what it raises for the user comes without its own frames."""
+    try:
+        return work()
+    except (AssessmentError, UsageError) as error:
+        raise error.with_traceback(None) from None
 
 
 class Assessor:
@@ -166,9 +180,6 @@ class Assessor:
             AssessmentError: its figures are not credible, or `skd assess` would end with exit code 1 for
                 another reason, so that no test of them says anything.
         """
-        from skd_sim.errors import UsageError
-
-        from skd_evaluator.errors import AssessmentError
         from skd_evaluator.library import assess
         from skd_evaluator.metrics.aborted import not_credible
         from skd_evaluator.report.warnings import undefined
@@ -179,7 +190,7 @@ class Assessor:
         key = f"{controller} {sorted(options.items())!r}"
         if key not in self._kept:
             folder = self._out / f"{len(self._kept)}"
-            assessment = assess(controller, out=folder, **options)
+            assessment = _called(lambda: assess(controller, out=folder, **options))
             self._kept[key] = Assessed(assessment.as_dict(), folder)
             figures = self._kept[key].figures
             nothing = undefined(figures) if figures["margin"] is None else None

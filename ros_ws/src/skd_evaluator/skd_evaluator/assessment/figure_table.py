@@ -78,7 +78,8 @@ TIME = Kind(ref("number_or_null"), "s", 2)
 SHARE = Kind(ref("rate"), "%", 1)
 PROBABILITY = Kind(ref("rate"), digits=2)  # significant ones: it may be very small
 SPEEDS = Kind(or_null(ref("speeds")), "m/s", 1)  # their mean and 90 % quantile
-COUNT, COUNT_OR_NULL = _typed("integer", minimum=0), _typed("integer", "null", minimum=0)
+COUNT = Kind({"type": "integer", "minimum": 0}, digits=0)
+COUNT_OR_NULL = Kind({"type": ["integer", "null"], "minimum": 0}, digits=0)
 FLAG, FLAG_OR_NULL = _typed("boolean"), _typed("boolean", "null")
 TEXT, TEXT_OR_NULL, LINES = _typed("string"), _typed("string", "null"), _typed("array", items={"type": "string"})
 INTERVAL, OPEN_INTERVAL = Kind(ref("interval")), Kind(ref("open_interval"))

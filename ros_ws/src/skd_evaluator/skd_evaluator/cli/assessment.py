@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import from_here
 from skd_sim.options.adversary import OBJECTIVES, objectives_named
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.options.options import options_of
@@ -283,6 +284,7 @@ def _check_the_same(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     new = []
     for key, (first, second) in changes({**then, "words": 0}, {**now, "words": 0}).items():
         part, _, name = key.partition(".")
+        name = from_here(name)
         what, advice = f"{name} was {first} and is now {second}", "put it back"
         if part == "options":
             what, advice = f"--{name.replace('_', '-')} was {first} and is now {second}", "leave it out"

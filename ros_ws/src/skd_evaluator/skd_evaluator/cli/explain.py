@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from skd_sim.inputs.files import from_here
 from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
 
 from skd_evaluator import palette
@@ -80,9 +81,7 @@ class Explanation:
 
     def _car(self, trial: DistinguishingTrial) -> str:
         """Return what the car that hits is called; a file below this folder by its path from here."""
-        name = self.controller or trial.hits.episode.controller
-        here = f"{Path.cwd()}/"
-        return f"./{name.removeprefix(here)}" if name.startswith(here) else name
+        return from_here(self.controller or trial.hits.episode.controller)
 
     def command(self, out: Path) -> str:
         """Return the command that rates the car that hits on this trial alone; empty where there is none."""

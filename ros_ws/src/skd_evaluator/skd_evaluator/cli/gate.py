@@ -90,15 +90,12 @@ class Gate:
         first = Check("assessment", why or aborted or "complete", error=bool(why))
         found = [first, *check_limits(result, self.limits)]
         if self.earlier is not None:
-            name = f"not worse than {self.earlier.folder}"
             try:
-                found.append(
-                    check_not_worse(folder, self.earlier)
-                    if folder is not None
-                    else Check(name, "not compared: there is no result on disk", error=True)
-                )
+                if folder is None:
+                    raise UsageError("there is no result on disk")
+                found.append(check_not_worse(folder, self.earlier))
             except UsageError as error:
-                found.append(Check(name, f"not compared: {error}", error=True))
+                found.append(Check(f"not worse than {self.earlier.folder}", f"not compared: {error}", error=True))
         if not why:
             return found
         # A condition that these figures meet may not be met by the car; one that they do not meet stays so.
@@ -134,7 +131,9 @@ class Gate:
         except (AssessmentError, OutOfReachError) as error:
             from skd_evaluator.assessment.compare.gate import Check
 
-            if problem := self.write(None, [Check("assessment", str(error), error=True)], car):
+            earlier = [f"not worse than {self.earlier.folder}"] if self.earlier else []
+            lost = [Check(name, "not judged: no result", error=True) for name in (*map(str, self.limits), *earlier)]
+            if problem := self.write(None, [Check("assessment", str(error), error=True), *lost], car):
                 print(f"skd: {problem}", file=sys.stderr)
             raise
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import from_here
 from skd_sim.inputs.yaml_file import to_yaml
 from skd_sim.world.episode import Mode, Outcome
 
@@ -50,7 +51,7 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     entries = [
         {
             **_entry(subject, number, name, kept),
-            "command": shlex.join([str(out.path / word) if word in needed else word for word in words]),
+            "command": shlex.join([str(out.path / word) if word in needed else from_here(word) for word in words]),
             "measures": _measures(subject, number),
         }
         for number, name, words in zip(numbers, names, commands, strict=True)
@@ -134,7 +135,7 @@ def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:
     name = figures["per_safe_trajectory"][int(episodes.safe_index[number])]["name"]
     objective = str(episodes.objective[number])
     who = f"kamikaze of objective {objective}" if objective else kept[number].text if kept else "along φ"
-    margin = "" if figures["margin"] is None else f" (margin {figures['margin']:.2f} m)"
+    margin = "" if figures["margin"] is None else f" (margin {figures['margin']:.3f} m)"
     ended = Outcome(int(episodes.outcome[number])).name.lower()
     if episodes.collided[number]:
         ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deviation {episodes.deviation[number]:.2f} m"

@@ -58,7 +58,7 @@ class Style:
 
     def value(self, figure: Figure, result: Mapping[str, Any]) -> str:
         """Return a figure of an assessment; of one that is spoken, its text."""
-        found = result.get(figure.key)
+        found = _known(figure.key, result, figure.key)
         if figure.spoken:
             return bounded(result, str(result[f"{figure.key}_text"] or self.nothing))
         if figure.key in UPPER_BOUNDS and found is not None:
@@ -76,12 +76,22 @@ class Style:
     def _around(self, figure: Figure, result: Mapping[str, Any], end: str) -> str:
         if figure.spoken:
             return spoken_interval(result, f"{figure.key}_{end or CI95}_text") or self.nothing
-        return self._of_kind(figure, result.get(f"{figure.key}_{end}") if end else None)
+        return self._of_kind(figure, _known(figure.key, result, f"{figure.key}_{end}") if end else None)
 
     def _of_kind(self, figure: Figure, found: Value) -> str:
         kind = figure.kind
         write = self.probability if kind is PROBABILITY else self.share if kind.unit == "%" else self.number
         return write(found, kind.digits)
+
+
+def _known(figure: str, result: Mapping[str, Any], key: str) -> Any:
+    """Return what stands under a key of a figure; None of the time lost by a car that never passes anyhow."""
+    return None if figure == "time_lost" and never_passes(result) else result.get(key)
+
+
+def never_passes(result: Mapping[str, Any]) -> bool:
+    """Return whether a car stands on the empty road, too: there is no time that it could lose."""
+    return result.get("deadlock") == 1.0 and result["time_lost"] == 0.0
 
 
 PAGE = Style(NOTHING, "{} to {}", "−")
@@ -91,8 +101,11 @@ BARE = Style("—", "[{}, {}]", percent="")
 number, percent = PAGE.number, PAGE.share
 
 
-def ninety(figure: Figure, result: Mapping[str, Any]) -> str:
-    """Return what 90 % of some speeds stay below, in words; of other figures nothing."""
+def beside(figure: Figure, result: Mapping[str, Any]) -> str:
+    """Return, in words, what 90 % of some speeds stay below, or in how many runs a car never passes; else nothing."""
+    if figure.key == "time_lost" and result.get("deadlock"):
+        stands = never_passes(result)
+        return "never passes, on the empty road either" if stands else f"{percent(result['deadlock'])} never pass"
     found = result.get(figure.key) if figure.kind is SPEEDS else None
     return f"90 % below {found['p90']:.{figure.kind.digits}f}" if found else ""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import multiprocessing
 import sys
 import threading
 import time
@@ -41,7 +42,8 @@ def progress_bar(*, quiet: bool = False, steps: Sequence[str] = ()) -> Iterator[
         return f"step {found[0]} of {len(steps)}: {label}" if found else label
 
     with _on_terminal(numbered) if sys.stderr.isatty() else _in_lines(numbered) as (update, say):
-        on_compiling.append(lambda: say(COMPILING))
+        unsaid = multiprocessing.Lock()  # shared with workers, which are forked from here: one of all says it
+        on_compiling.append(lambda: say(COMPILING) if unsaid.acquire(block=False) else None)
         try:
             yield update
         finally:

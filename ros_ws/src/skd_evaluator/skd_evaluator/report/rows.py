@@ -77,14 +77,14 @@ def _first_rows(figures: Mapping[str, Any], style: formats.Style) -> Iterator[Fi
         basis |= {f"risk_{one['scale']:g}": f"{one['method']}; {people}" for one in risk["scales"]}
     if price := figures.get("price_of_caution"):
         runs = formats.counted(len(price["runs"]), "harmless run")
-        basis["time_lost"] = f"{runs}; {style.share(figures['deadlock'])} never pass"
+        basis["time_lost"] = "; ".join(filter(None, (runs, formats.beside(AT_THE_TOP["time_lost"], figures))))
     special: dict[str, dict[str, Any]] = {
         "equivalent_multiplier": {
             "clustered": _equivalent_interval(style, figures, CI95),
             "plain": _equivalent_interval(style, figures, THESE_PHI),
         },
         "optimality_gap": {"alert": close is not None and close > GAP_WARNING},
-        "time_lost": {"note": f"{style.share(figures['deadlock'])} never pass" if figures["deadlock"] else ""},
+        "time_lost": {"note": formats.beside(AT_THE_TOP["time_lost"], figures)},
     }
     if figures["skd"] is None:
         special["skd"] = {"value": "none kept" if figures["discarded_by_distance"] else "no kamikaze found"}
@@ -104,7 +104,7 @@ def _row(style: formats.Style, one: Figure, figures: Mapping[str, Any], **rest: 
 def _further(style: formats.Style, figures: Mapping[str, Any], of: Of, basis: str = "") -> list[FigureRow]:
     """Return figures that need no words of their own."""
     found = [one for one in shown_in("details") if one.of is of and one.key in figures]
-    return [_row(style, one, figures, basis=formats.ninety(one, figures) or basis) for one in found]
+    return [_row(style, one, figures, basis=formats.beside(one, figures) or basis) for one in found]
 
 
 def _margin_basis(figures: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from skd_evaluator.assessment.compare.gate import Check
 from skd_evaluator.assessment.figure_table import shown_in
-from skd_evaluator.report.formats import BARE, bounded, ninety
+from skd_evaluator.report.formats import BARE, beside, bounded
 from skd_evaluator.report.terminal import headline
 from skd_evaluator.report.warnings import figure_warnings
 
@@ -34,7 +34,7 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     for figure in shown_in("summary"):
         known = _cell(str(result.get("adversary_model") or "")) if figure.planned else ""
         label = f"{figure.heading}, adversary model: {known}" if known else figure.heading
-        value = ", ".join(filter(None, (BARE.value(figure, result), ninety(figure, result))))
+        value = ", ".join(filter(None, (BARE.value(figure, result), beside(figure, result))))
         lines.append(f"| {label} | {value} | {BARE.by_phi(figure, result)} | {BARE.independent(figure, result)} |")
     lines += ["", "| condition | | found |", "|---|---|---|"]
     for one in checks:

@@ -12,7 +12,7 @@ from rich.table import Table
 from skd_evaluator.assessment.compare.comparison import EACH
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
-from skd_evaluator.report.formats import BARE, TERMINAL
+from skd_evaluator.report.formats import BARE, TERMINAL, never_passes
 from skd_evaluator.report.terminal import bounded_cell, credibility, narrow_table
 
 _number = TERMINAL.number
@@ -46,7 +46,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
             _number(row["margin_ci95"], 2),
             TERMINAL.share(row["nominal_collision_rate"]),
             TERMINAL.probability(row["risk_1"]),
-            _number(row.get("time_lost"), 1),
+            "—" if never_passes(row) else _number(row.get("time_lost"), 1),
             bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
         ]
         for row in rows

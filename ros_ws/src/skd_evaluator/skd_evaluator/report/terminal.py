@@ -45,7 +45,7 @@ def headline(result: Mapping[str, Any], *, named: bool = True) -> str:
     found = _found(result, f"{result['car']}; " if named else "")
     if lanes := result.get("margin_lanes"):
         state, other = lanes
-        found += f" The margin is with the oncoming lane {state}; with it {other} it is {lanes[other]:.2f} m."
+        found += f" The margin is with the oncoming lane {state}; with it {other} it is {_number(lanes[other])} m."
     return f"{said.capitalize()} (the warnings say why): {found}" if said else found
 
 
@@ -59,10 +59,9 @@ def _found(result: Mapping[str, Any], car: str) -> str:
         if rate := result.get("nominal_collision_rate"):
             found += f" But {_percent(rate)} of the runs along nominal trajectories collide."
         return found
-    bound = "" if result["margin_converged"] else "at most "
-    interval = result["margin_ci95"]
-    around = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-    found = f"Safety margin {bound}{result['margin']:.2f} m{around}: {car}{formats.counted(trials, 'trial')} "
+    around = f" {_number(interval)}" if (interval := result["margin_ci95"]) else ""
+    margin = formats.TERMINAL.value(AT_THE_TOP["margin"], result)  # with the digits of the tables
+    found = f"Safety margin {margin} m{around}: {car}{formats.counted(trials, 'trial')} "
     found += f"on {_trajectories(result)}."
     if beyond:
         found += f" No hit found in {beyond} of {trials}: each counts as {most}."
@@ -84,13 +83,10 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     table = narrow_table("", ("", "", "95 % interval"))
     for key in _HEADLINE:
         figure = AT_THE_TOP.get(key)
-        if figure is None or (value := formats.TERMINAL.value(figure, result)) == formats.TERMINAL.nothing:
+        if figure is None or result.get(key) is None:
             continue
-        price = result.get("price_of_caution")
-        if key == "time_lost" and price and all(run["undisturbed"] >= price["horizon"] for run in price["runs"]):
-            table.add_row(f"{figure.label}, does not drive on the empty road either  ", formats.TERMINAL.nothing)
-            continue
-        unit = "" if figure.kind.unit in ("", "%") else f" {figure.kind.unit}"
+        value = formats.TERMINAL.value(figure, result)
+        unit = "" if figure.kind.unit in ("", "%") or value == formats.TERMINAL.nothing else f" {figure.kind.unit}"
         intervals = (formats.TERMINAL.by_phi(figure, result), formats.TERMINAL.independent(figure, result))
         interval = next((one for one in intervals if one != formats.TERMINAL.nothing), "")
         table.add_row(f"{figure.label}{_beside(key, result)}  ", f"[bold]{value}{unit}[/]  ", escape(interval))
@@ -113,10 +109,8 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
         return f", {_how_sure(result) if result['margin_converged'] else '[red]not converged[/]'}"
     if key == "nominal_collision_rate":
         return f", {formats.counted(result['collision_runs'], 'run')}"
-    if key == "time_lost" and result["deadlock"]:
-        return f", [red]{_percent(result['deadlock'])} never pass[/]"
-    if key == "impact_speed":
-        return f", {formats.ninety(AT_THE_TOP[key], result)} m/s"
+    if said := formats.beside(AT_THE_TOP[key], result):
+        return f", {said} m/s" if key == "impact_speed" else f", [red]{said}[/]"
     return ", ordinary walkers" if key == "risk_1" else ""
 
 

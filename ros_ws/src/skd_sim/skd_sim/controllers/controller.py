@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-import os
 import pickle
 import re
 import types
@@ -21,7 +20,7 @@ import numpy as np
 
 from skd_sim.controllers.isolated import LOADING, begin_call, end_call
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
-from skd_sim.inputs.files import near_or_all
+from skd_sim.inputs.files import from_here, near_or_all
 from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
@@ -244,7 +243,7 @@ def _check_methods(made: object, what: str) -> None:
 def _place_of_method(method: Callable[..., Any]) -> str:
     """Return where a method begins, in brackets; empty where that is not known."""
     code = getattr(inspect.unwrap(method), "__code__", None)
-    return f" ({os.path.relpath(code.co_filename)}, line {code.co_firstlineno})" if code else ""
+    return f" ({from_here(code.co_filename)}, line {code.co_firstlineno})" if code else ""
 
 
 def _number(answer: Any) -> float:

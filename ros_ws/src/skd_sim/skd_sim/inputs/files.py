@@ -96,6 +96,11 @@ def folders_in(folder: Path, unread: Callable[[Path, str], None]) -> Iterator[tu
         yield Path(path), inside, files
 
 
+def from_here(path: str) -> str:
+    """Return a word that begins with a path as messages have it: from the current folder on, if the path is in it."""
+    return path.removeprefix(f"{Path.cwd()}{os.sep}")
+
+
 def real_path(path: Path) -> Path:
     """Return where a path leads, with no link in it; one whose links run in a circle leads nowhere, and to itself.
 

@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import near_or_all
+from skd_sim.inputs.files import from_here, near_or_all
 from skd_sim.interruption import Interrupted
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def place_of(error: BaseException, folder: str = "") -> str:
     own = "<", f"{Path(__file__).parents[2]}{os.sep}", importlib.__path__[0]
     steps = [one for one in traceback.extract_tb(error.__traceback__) if not one.filename.startswith(own)]
     mine = [one for one in steps if folder and one.filename.startswith(folder)] or steps
-    return f" ({os.path.relpath(mine[-1].filename)}, line {mine[-1].lineno})" if mine else ""
+    return f" ({from_here(mine[-1].filename)}, line {mine[-1].lineno})" if mine else ""
 
 
 @functools.cache

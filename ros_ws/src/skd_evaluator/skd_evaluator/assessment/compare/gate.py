@@ -16,7 +16,7 @@ from skd_evaluator.assessment.compare.comparison import (
     Comparison,
     compare,
 )
-from skd_evaluator.assessment.files.assessment_json import figure
+from skd_evaluator.assessment.files.assessment_json import figure, form_of
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import at_worst
 from skd_evaluator.metrics.margins import UPPER_BOUNDS, longer_search, stopped_at
@@ -39,6 +39,9 @@ class Limit:
     def is_kept_by(self, value: float) -> bool:
         """Whether a figure of this value keeps the limit."""
         return value >= self.value if self.is_least else value <= self.value
+
+    def __str__(self) -> str:
+        return f"{self.name} {'≥' if self.is_least else '≤'} {self.value:g}"
 
 
 @dataclass(frozen=True)
@@ -110,15 +113,14 @@ def bound_of(result: Mapping[str, Any], name: str) -> Bound | None:
 
 
 def _check_limit(result: Mapping[str, Any], limit: Limit) -> Check:
-    value, bound = figure(result, limit.name), bound_of(result, limit.name)
-    name = f"{limit.name} {'≥' if limit.is_least else '≤'} {limit.value:g}"
+    name, value, bound = str(limit), figure(result, limit.name), bound_of(result, limit.name)
     if value is None:
         return Check(name, f"{limit.name} is not defined, so it cannot be held against {limit.value:g}", error=True)
     beyond = not limit.is_kept_by(value)
     side = "below" if value < limit.value else "above" if value > limit.value else "at"
-    value = value if abs(value) > 1e-9 else 0.0  # as a sum of rounding errors is
-    text = f"{limit.name} is {value:.3g}, {side} {limit.value:g}"
-    text = text if f"{value:.3g}" != f"{limit.value:.3g}" else f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
+    shown = f"{value:{form_of(limit.name)}}"
+    shown = shown if float(shown) != limit.value else f"{value:.6g}"
+    text = f"{limit.name} is {shown}, {side} {limit.value:g}"
     if bound is not None and not beyond and not limit.is_kept_by(bound.beyond):
         return Check(name, f"not judged: {text}, but only a bound", error=True, remarks=(bound.why,))
     return Check(name, text, failed=beyond)

@@ -19,7 +19,7 @@ from skd_sim.inputs.files import did_you_mean, read_json
 from skd_evaluator.assessment import figure_table as table
 from skd_evaluator.assessment.episode_figures import StaticTest
 from skd_evaluator.assessment.failures import Failures
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Figure, Of, keys_of
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, PROBABILITY, Figure, Of, keys_of
 from skd_evaluator.metrics.aborted import value_of
 from skd_evaluator.metrics.clustered import Clustered
 from skd_evaluator.metrics.entry import Schema, object_of, or_null, ref
@@ -257,6 +257,13 @@ def better_of(name: str) -> str:
     return "" if row is None else row.better.value
 
 
+def form_of(name: str) -> str:
+    """Return the format of a figure, with the digits that tables show of it; a share stays one."""
+    if (row := _row_of(name.split("."))) is None:
+        return ".6g"
+    return f"#.{row.kind.digits}g" if row.kind is PROBABILITY else f"z.{row.kind.digits + 2 * (row.kind.unit == '%')}f"
+
+
 def _row_of(words: list[str]) -> Figure | None:
     return (OF_OBJECTIVES if words[0] == "objectives" else AT_THE_TOP).get(words[-1])
 
@@ -290,9 +297,10 @@ def check_figure(name: str) -> None:
     known = scalar_figures()
     if any(_fits(words, one.split(".")) for one in known):
         return
-    longer = [one for one in known if one.startswith(f"{name}_") and "." not in one]
-    near = f"; did you mean {' or '.join(longer)}?" if longer else ""
-    near = near or did_you_mean(name, [_filled(one, words) for one in known])
+    rows = [row for key, row in AT_THE_TOP.items() if key in known]
+    called = " or ".join(row.key for row in rows if name.lower().replace("_", " ") in row.label.lower())
+    near = f"; did you mean {called}?" if called else did_you_mean(name, [_filled(one, words) for one in known])
+    near = near or f"; the first are {', '.join(row.key for row in rows if row.first)}"
     raise UsageError(f"assessment.json has no figure {name!r} that is one number{near}")
 
 

@@ -163,6 +163,8 @@ def read_result(folder: Path) -> StoredResult:
             give another margin, deviation or number of φ than it says.
     """
     check_folder(folder)
+    if missing := [name for name in (ASSESSMENT, EPISODES) if not (folder / name).exists()]:
+        raise UsageError(f"{folder}: holds no {missing[0]}; give a folder that skd assess --out has written")
     figures, episodes, assessment, remarks = read_checked(folder)
     curve = vulnerability_curve(assessment.for_deviation.trial_deviations, assessment.plan.scenario.eta_max)
     if curve is None and assessment.margins is None:

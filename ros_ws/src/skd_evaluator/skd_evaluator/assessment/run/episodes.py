@@ -9,8 +9,10 @@ nothing is made of either.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -52,6 +54,7 @@ from skd_sim.world.sensors import make_laser
 from skd_sim.world.state import AdversaryState, CarState, FloatArray, IntArray, Scene
 from skd_sim.world.world import first_car_state
 
+from skd_evaluator.assessment.plan import EpisodeGroup, follows_other_trajectory, split_episode_id
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.errors import AssessmentError
@@ -101,23 +104,24 @@ def _run(
     require_control_period(car, episode.controller, episode.scenario)
     sensing = car if is_sensing(car) else None
     laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
-    car.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
-    adversary = adversary or make_adversary(episode)
     frames, velocity = [frame], (0.0, 0.0)
-    believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
     believed: list[BelievedCar] = []
     commands: list[Command] = []
-    while frame.outcome == Outcome.RUNNING:
-        if frame.period == 0:  # before the car, whose controller an adversary may look at
-            velocity = adversary.act(frame.car)
-            if believer:
-                believed.append(believer.believed_car)
-        if sensing and laser:
-            sensing.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
-        commands.append(car.command(frame.car, sight(frame.car, frame.adversary, frame.tick, frame.period)))
-        frame = simulator.step(commands[-1], velocity)
-        if frame.period == 0:
-            frames.append(frame)
+    with _located(lambda: (episode, frame.tick, frame.period)):
+        car.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
+        adversary = adversary or make_adversary(episode)
+        believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
+        while frame.outcome == Outcome.RUNNING:
+            if frame.period == 0:  # before the car, whose controller an adversary may look at
+                velocity = adversary.act(frame.car)
+                if believer:
+                    believed.append(believer.believed_car)
+            if sensing and laser:
+                sensing.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
+            commands.append(car.command(frame.car, sight(frame.car, frame.adversary, frame.tick, frame.period)))
+            frame = simulator.step(commands[-1], velocity)
+            if frame.period == 0:
+                frames.append(frame)
     impact_time, impact_speed = frame.impact(episode.scenario.time_step)
     return EpisodeLog(
         episode,
@@ -133,6 +137,22 @@ def _run(
         strayed=getattr(simulator, "strayed", 0.0),
         commands=np.array(list(map(as_pair, commands))),
     )
+
+
+@contextmanager
+def _located(place: Callable[[], tuple[EpisodeSpec, int, int]]) -> Iterator[None]:
+    """Have errors say in which episode they came, in which tick and in which control period of it."""
+    try:
+        yield
+    except AssessmentError as error:
+        episode, tick, period = place()
+        group, phi, trial = split_episode_id(episode.episode_id)
+        path, scenario, stage = episode.safe_trajectory, episode.scenario, group.name.lower()
+        stage = "margin" if follows_other_trajectory(episode) and group == EpisodeGroup.KAMIKAZE else stage
+        name = path.name if path and (group == EpisodeGroup.PRICE or phi == 0xFFFF) else f"φ {phi}"
+        name += f", trial {trial}" if trial < 1 << 31 else ""  # others are numbers within SKD
+        time = scenario.time_step * (tick + period / scenario.control_periods)
+        raise type(error)(f"{error}; in a {stage} run: {name}, t = {time:.2f} s") from None
 
 
 def _belief(believed: Sequence[BelievedCar], states: int) -> FloatArray | None:
@@ -277,23 +297,21 @@ class Replay:
         ticks, periods = min(scenario.ticks, len(path) - 1), scenario.control_periods
         velocities = path_velocities(path.positions, ticks, scenario.time_step)
         state, noise, constants, line = self._begin.copy(), self._noise, self._constants, scenario.road.line
-        controller.reset(episode.public_scenario, controller_generator(self._seed))
         command, sees_scene = controller.command, takes_scene(controller)
         found = np.empty((ticks + 1, len(state)))
         found[0] = state
-        contact = False
-        for tick in range(ticks):
-            for period in range(periods):
+        tick = period = 0
+        with _located(lambda: (episode, tick, period)):
+            controller.reset(episode.public_scenario, controller_generator(self._seed))
+            for tick, period in itertools.product(range(ticks), range(periods)):
                 now = state.tolist()
                 car, user = CarState(*now[CAR]), AdversaryState(*now[USER])
                 seen: Any = Scene(car, user) if sees_scene else user
                 acceleration, angle = as_pair(command(car, seen))
                 contact = _advance(constants, line, tick, period, acceleration, angle, velocities, noise, state)
+                found[tick + 1] = state
                 if contact:
-                    break
-            found[tick + 1] = state
-            if contact:
-                return _log(episode, found[: tick + 2])
+                    return _log(episode, found[: tick + 2])
         return _log(episode, found)
 
 
@@ -357,7 +375,8 @@ def replayed(episodes: Sequence[EpisodeSpec]) -> list[EpisodeLog]:
             if not requested.size:
                 break
             seen = np.ascontiguousarray(states[requested, : USER.stop].T)
-            commands = policy.commands(seen)
+            with _located(lambda: (episodes[requested[0]], tick, period)):  # noqa: B023 - called within
+                commands = policy.commands(seen)
             requests.append(_Request(tick, requested, seen, commands))
             _advance_all(constants, scenario.road.line, tick, period, requested, commands, velocities, noise, states)
         found[rows, tick + 1] = states[rows]
@@ -443,8 +462,8 @@ def _compare(single: UserController, episode: EpisodeSpec, requested: _Request, 
     numbers = requested.states[:, at].tolist()
     car, user = CarState(*numbers[:4]), AdversaryState(*numbers[4:])
     seen = Scene(car, user) if single.takes_scene else user
-    alone, together = as_pair(single.command(car, seen)), tuple(requested.commands[at].tolist())  # type: ignore[arg-type]
-    if not math.dist(alone, together) <= TOLERANCE:
-        said = f"commands answers {short(together)} where command answers {short(alone)}"
-        where = f"tick {requested.tick} of episode {episode.episode_id}"
-        raise AssessmentError(f"controller {episode.controller}: {said} ({where}): both have to be the same car")
+    with _located(lambda: (episode, requested.tick, 0)):
+        alone, together = as_pair(single.command(car, seen)), tuple(requested.commands[at].tolist())  # type: ignore[arg-type]
+        if not math.dist(alone, together) <= TOLERANCE:
+            said = f"commands answers {short(together)} where command answers {short(alone)}"
+            raise AssessmentError(f"controller {episode.controller}: {said}, and both have to be the same car")

@@ -53,7 +53,7 @@ WHOLE_EPISODE_TRIALS = 5
 HELD_COMMANDS_TRIALS = 1
 """The same where the car does not answer each state, as in real time."""
 NEEDS_THE_CAR = "recordings alone do not give it; skd assess does, with the car"
-NOT_REQUESTED = "--margin-limit 0: the margin was not requested"
+NOT_REQUESTED = "--margin-limit 0: the margin was not requested; leave that option out"
 
 
 def warm_up_margins() -> None:

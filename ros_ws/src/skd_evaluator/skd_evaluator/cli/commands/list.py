@@ -74,7 +74,6 @@ def run(arguments: argparse.Namespace) -> int:
         for one in found:
             for line in filter(None, (one.remark, *one.warnings)):
                 print(f"* {one.folder}: {line}")
-        warn("list", _namesakes(found))
         print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
 
     return finish(arguments, content, show)
@@ -102,26 +101,3 @@ def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence
             print_table(trend_table(trend))
 
     return finish(arguments, {"figure": arguments.trend, "cars": trends}, show, lines)
-
-
-def _namesakes(runs: Sequence[Run]) -> list[str]:
-    """Return a line for each name that different scenarios have."""
-    from skd_sim.scenario.scenario import scenario_from_dict
-
-    from skd_evaluator.assessment.compare.comparability import scenario_difference
-
-    first: dict[str, tuple[Run, dict[str, Any]]] = {}
-    found: dict[str, str] = {}
-    for run in runs:
-        try:
-            scenario = scenario_from_dict(run.figures["scenario"], str(run.folder)).as_dict()
-        except UsageError:
-            continue  # a list shows what was written; what reads the result refuses it
-        other, its = first.setdefault(run.scenario, (run, scenario))
-        if (difference := scenario_difference(its, scenario)) is not None:
-            key, there, here = difference
-            line = (
-                f"{run.scenario} is the name of different scenarios: {key} is {there} in {other.folder} and {here} in"
-            )
-            found.setdefault(run.scenario, f"{line} {run.folder}")
-    return list(found.values())

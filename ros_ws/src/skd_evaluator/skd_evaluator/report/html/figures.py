@@ -50,7 +50,7 @@ def sentences_of(subject: Subject) -> list[str]:
     until = f" until {hit} were hit" if enough else f"; {hit} of them were hit"
     planned = f"{kamikazes}{known} were planned{until}"
     counts = f"; one that was not hit counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
-    return [*found, f"{planned}. They needed {formats.number(figures['deviation'], 2, 'm')} on average{counts}."]
+    return [*found, f"{planned}. They needed {formats.number(figures['deviation'], 3, 'm')} on average{counts}."]
 
 
 def warnings_of(subject: Subject) -> list[str]:
@@ -109,7 +109,7 @@ def _verdict(first: Subject, second: Subject) -> str:
 
 
 def _bounded(one: Subject, key: str) -> str:
-    text = formats.number(one.figures[key], 2, "m")
+    text = formats.number(one.figures[key], 3, "m")
     return formats.bounded(one.figures, text) if key == "margin" else text
 
 
