@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -52,7 +52,6 @@ from skd_adversary.crossing.interfaces import (
     Triple,
     at_distance,
     from_car,
-    kernels_in,
     on_road,
     template,
     velocity_on_road,
@@ -67,8 +66,10 @@ def _distance(parameters: Any, state: FloatArray) -> float:
     return math.sqrt(left * left + ahead * ahead)
 
 
-class _Distance:
+class _Distance(SensorModel):
     """A sensor of the distance to the car."""
+
+    name = "distance"
 
     @staticmethod
     def sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
@@ -101,11 +102,13 @@ class _Distance:
         redrawn[CAR_S] = at_distance(parameters, x, y, distance, state[CAR_S] <= along)
 
 
-DISTANCE = SensorModel("distance", **kernels_in(_Distance))
+DISTANCE = _Distance
 
 
-class _Position:
+class _Position(SensorModel):
     """A sensor of the car's relative position along the road."""
+
+    name = "position"
 
     @staticmethod
     def sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
@@ -147,7 +150,7 @@ class _Position:
                 break
 
 
-RELATIVE_POSITION = SensorModel("position", **kernels_in(_Position))
+RELATIVE_POSITION = _Position
 
 
 _HEADING_NOISE: Final = 0.1  # rad
@@ -160,8 +163,10 @@ def _pose_expected(parameters: Any, state: FloatArray) -> Triple:
     return state[CAR_S] - along, state[OFFSET] - across, state[TURNED]
 
 
-class _Pose:
-    """A sensor of the car's place along and across the road, and of its heading."""
+class _Pose(_Position):
+    """A sensor of the place of a car that evades, along the road and across it, and of its heading."""
+
+    name, observation_dim = "pose", 3
 
     @staticmethod
     def sense(scenario: Scenario, own: Pair, car: CarState, rng: np.random.Generator) -> FloatArray:
@@ -192,8 +197,7 @@ class _Pose:
         return math.exp(-0.5 * (error * error + error_aside * error_aside + error_turned * error_turned))
 
 
-POSE = replace(RELATIVE_POSITION, name="pose", observation_dim=3, **kernels_in(_Pose))
-"""Of a car that evades: its place along the road and across it, and its heading."""
+POSE = _Pose
 
 
 # --- the basic car
@@ -208,8 +212,10 @@ def _basic_start_car(parameters: Any, state: FloatArray, rng: np.random.Generato
     state[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
 
 
-class _Basic:
+class _Basic(CarKernels):
     """The basic car."""
+
+    name, own_dim = "basic", 0
 
     @template
     def advance_car(
@@ -257,7 +263,7 @@ class _Basic:
     start_car = _basic_start_car
 
 
-BASIC_KERNELS = CarKernels("basic", 0, **kernels_in(_Basic))
+BASIC_KERNELS = _Basic
 
 WAITING_REWARD: Final = -0.08
 """m of deviation, for each step after φ's end: what it costs to wait for a car that stops by a law, which does not
@@ -272,20 +278,19 @@ class CarModel:
         multiplier_low: least C that the adversary thinks possible.
         multiplier_high: greatest C that it thinks possible; equal to the least where C is known.
         observes_position: whether the adversary senses the relative position (basic car) or the distance only.
-        kernels: kernels of how the predicted car moves.
     """
 
     multiplier_low: float
     multiplier_high: float
     observes_position: bool
-    kernels: CarKernels = field(default=BASIC_KERNELS, init=False)
+    kernels = BASIC_KERNELS
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.multiplier_low <= self.multiplier_high < math.inf):
             raise UsageError(f"car model needs 0 ≤ low ≤ high, got {self.multiplier_low:g}, {self.multiplier_high:g}")
 
     @property
-    def sensor(self) -> SensorModel:
+    def sensor(self) -> type[SensorModel]:
         """Sensor by which the adversary sees the car."""
         return RELATIVE_POSITION if self.observes_position else DISTANCE
 
@@ -343,22 +348,22 @@ def _drawn(priors: FloatArray, row: int, rng: np.random.Generator) -> float:
 
 
 @kernel
-def _fitted_redraw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+def _fitted_redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
     """Interface `redraw_policy`: draw what is not known; it has decided nothing yet."""
     p = parameters
     trigger = _drawn(p.priors, _TRIGGER, rng)
     if p.spread_kind == 1.0:
         trigger = max(0.0, trigger + p.spread * rng.standard_normal())
-    state[TRIGGER] = trigger
-    state[PATH] = _drawn(p.priors, _PATH, rng)
-    state[DECELERATION] = _drawn(p.priors, _DECELERATION, rng)
-    state[DELAY] = min(float(LONGEST_DELAY), float(round(_drawn(p.priors, _DELAY, rng) / p.time_step)))
-    state[CRUISE] = _drawn(p.priors, _CRUISE, rng)
-    state[GAIN] = _drawn(p.priors, _GAIN, rng)
-    state[LIMIT] = _drawn(p.priors, _LIMIT, rng)
-    state[SPEED_NOISE] = _drawn(p.priors, _SPEED_NOISE, rng)
+    redrawn[TRIGGER] = trigger
+    redrawn[PATH] = _drawn(p.priors, _PATH, rng)
+    redrawn[DECELERATION] = _drawn(p.priors, _DECELERATION, rng)
+    redrawn[DELAY] = min(float(LONGEST_DELAY), float(round(_drawn(p.priors, _DELAY, rng) / p.time_step)))
+    redrawn[CRUISE] = _drawn(p.priors, _CRUISE, rng)
+    redrawn[GAIN] = _drawn(p.priors, _GAIN, rng)
+    redrawn[LIMIT] = _drawn(p.priors, _LIMIT, rng)
+    redrawn[SPEED_NOISE] = _drawn(p.priors, _SPEED_NOISE, rng)
     for tick in range(LONGEST_DELAY):
-        state[MEMORY + tick] = 0.0
+        redrawn[MEMORY + tick] = 0.0
 
 
 @template(inline=False)
@@ -401,8 +406,10 @@ def _brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> boo
     return bool(_in_reach(p, trigger, state[PATH], place, velocity, (state[CAR_S], state[CAR_SPEED])))
 
 
-class _Fitted:
+class _Fitted(_Basic):
     """A car that follows a law."""
+
+    name, own_dim = "fitted", FITTED_STATE_DIM - STATE_DIM
 
     @kernel
     def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
@@ -449,9 +456,6 @@ class _Fitted:
     redraw_policy = _fitted_redraw_policy
 
 
-_FITTED_KERNELS = replace(BASIC_KERNELS, name="fitted", own_dim=FITTED_STATE_DIM - STATE_DIM, **kernels_in(_Fitted))
-
-
 # State vector, beyond the crossing's own: velocity of the road user in the last tick, (right, along) of the road, m/s,
 # the last two changes of the car's speed, m/s, the tree that expects; `OFFSET` and `TURNED` before them.
 # TRIGGER of the crossing, by which a default policy tells whether the car brakes, says what it did last: there is no
@@ -494,8 +498,10 @@ def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car:
     return leaf_of(p.forest_nodes, p.forest_roots[tree], features)
 
 
-class _Forest:
+class _Forest(CarKernels):
     """A car that does what it did in similar recorded ticks."""
+
+    name, own_dim = "forest", FOREST_STATE_DIM - STATE_DIM
 
     @kernel
     def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
@@ -563,9 +569,6 @@ class _Forest:
     redraw_policy = _forest_redraw_policy
 
 
-_FOREST_KERNELS = CarKernels("forest", FOREST_STATE_DIM - STATE_DIM, **kernels_in(_Forest))
-
-
 @dataclass(frozen=True)
 class LearnedCar:
     """A car as its logs show it: by the forest that was learned, if there is one, else by the fitted law.
@@ -579,12 +582,12 @@ class LearnedCar:
     known: CarModel
 
     @property
-    def kernels(self) -> CarKernels:
+    def kernels(self) -> type[CarKernels]:
         """Kernels of how the predicted car moves."""
-        return _FITTED_KERNELS if self.car.forest is None else _FOREST_KERNELS
+        return _Fitted if self.car.forest is None else _Forest
 
     @property
-    def sensor(self) -> SensorModel:
+    def sensor(self) -> type[SensorModel]:
         """Sensor by which the adversary sees the car."""
         return POSE if self.car.forest is not None and self.car.forest.evades else self.known.sensor
 

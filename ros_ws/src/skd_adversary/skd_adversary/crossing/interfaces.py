@@ -4,18 +4,19 @@ State (paper, "Generating Kamikaze Trajectories"): road user × predicted car ×
 them what a kind of car, a kind of road user and the objective have of their own. The car's place is its path coordinate
 s along the road's centre line (`skd_sim.scenario.road`): y on the straight lane.
 
-A part (road, road user, car, sensor, objective) is a set of small functions. Those that need functions of another part
-call them by the names below, its interfaces: `move` calls `advance_car`, whatever the kind of car. Such a function is a
-`template`. `model.compose` chooses the parts, and compiles their templates with each other's functions in place of the
-names. What an interface takes and returns is written at the class of its part. Velocities are (East, North) in m/s,
-places in m; `parameters` are those of the composed model.
+A part (road, road user, car, sensor, objective) is a set of small functions: a class that only groups them, of which no
+object is made. Those that need functions of another part call them by the names below, its interfaces: `move` calls
+`advance_car`, whatever the kind of car. Such a function is a `template`. `model.compose` chooses the parts, and
+compiles their templates with each other's functions in place of the names. What an interface takes and returns is
+written at the base class of its part. Velocities are (East, North) in m/s, places in m; `parameters` are those of the
+composed model.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, cast
 
 import numpy as np
@@ -86,14 +87,9 @@ SEARCH: Final = PlannerOptions(
 hit is a matter of one good action at the right time, which a mean over all actions hides: docs/decisions.md (1)."""
 
 
-def kernels_in(owner: type) -> dict[str, Any]:
-    """Return the functions of a class that only groups them, by the names of their interfaces."""
-    return {name: getattr(owner, name) for name in vars(owner) if not name.startswith("__")}
-
-
-def kernels_of(part: Any, name: str, parts: Mapping[str, Any]) -> dict[str, Any]:
+def kernels_of(part: type, name: str, parts: Mapping[str, Any]) -> dict[str, Any]:
     """Return all kernels of a part, by interface, its templates compiled with `parts`; see `bound`."""
-    found = {one.name: getattr(part, one.name) for one in fields(part)}
+    found = {interface: getattr(part, interface) for interface in dir(part)}
     return {
         interface: bound(one, name, parts)
         for interface, one in found.items()
@@ -193,8 +189,12 @@ class ObjectiveModel:
     plans_deviation: bool = False
 
 
-@dataclass(frozen=True)
-class CarKernels:
+class _Part(type):
+    def __hash__(cls) -> int:  # said for mypy: a part is a key of what was compiled with it
+        return super().__hash__()
+
+
+class CarKernels(metaclass=_Part):
     """How a kind of predicted car moves.
 
     Attributes:
@@ -218,17 +218,9 @@ class CarKernels:
 
     name: str
     own_dim: int
-    start_car: Any
-    advance_car: Any
-    expected_motion: Any
-    resume_car: Any
-    redraw_policy: Any
-    last_changes: Any
-    aside: Any
 
 
-@dataclass(frozen=True)
-class SensorModel:
+class SensorModel(metaclass=_Part):
     """What is seen of the car, and how likely that is.
 
     Attributes:
@@ -242,15 +234,11 @@ class SensorModel:
     """
 
     name: str
+    observation_dim = 1
     sense: Callable[[Scenario, Pair, CarState, np.random.Generator], FloatArray]
-    observe: Any
-    likelihood: Any
-    place_car: Any
-    observation_dim: int = 1
 
 
-@dataclass(frozen=True)
-class RoadKernels:
+class RoadKernels(metaclass=_Part):
     """The road that the car follows.
 
     Attributes:
@@ -273,17 +261,9 @@ class RoadKernels:
 
     name: str
     parameters: Callable[[Scenario], Mapping[str, Any]]
-    on_road: Any
-    velocity_on_road: Any
-    from_car: Any
-    to_middle: Any
-    left_behind: Any
-    at_distance: Any
-    contact: Any
 
 
-@dataclass(frozen=True)
-class RoadUserKernels:
+class RoadUserKernels(metaclass=_Part):
     """How road users of some kinds move, and how their bodies touch.
 
     Attributes:
@@ -313,20 +293,10 @@ class RoadUserKernels:
     name: str
     action_count: int
     rest: int
-    own_dim: int
-    box: bool
+    own_dim = 0
+    box = False
     late: tuple[int, ...]
     early: tuple[int, ...]
-    start_road_user: Any
-    velocity: Any
-    settle: Any
-    possible: Any
-    moving: Any
-    next_velocity: Any
-    next_possible: Any
-    pointing: Any
-    steer: Any
-    touch: Any
 
 
 @dataclass(frozen=True)
@@ -345,7 +315,7 @@ class RoadUserModel:
     """
 
     name: str
-    kernels: RoadUserKernels
+    kernels: type[RoadUserKernels]
     parameters: Callable[[Scenario], Mapping[str, Any]]
     fastest: float
     height: float
@@ -357,11 +327,11 @@ class CarPrediction(Protocol):
     """How the adversary predicts the car: a kind of car, its parameters, and the sensor that goes with it."""
 
     @property
-    def kernels(self) -> CarKernels:
+    def kernels(self) -> type[CarKernels]:
         """Kernels of how the predicted car moves."""
 
     @property
-    def sensor(self) -> SensorModel:
+    def sensor(self) -> type[SensorModel]:
         """Sensor by which the adversary sees the car."""
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:

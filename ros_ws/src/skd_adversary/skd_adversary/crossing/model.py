@@ -38,7 +38,6 @@ from skd_adversary.crossing.interfaces import (
     aside,
     begin,
     contact,
-    kernels_in,
     kernels_of,
     path_velocities,
     place_car,
@@ -74,8 +73,14 @@ def _from_aside(ahead: float, left: float, aside: Pair) -> Pair:
     return cos * ahead - sin * (left + offset), sin * ahead + cos * (left + offset)
 
 
-class _Straight:
+class _Straight(RoadKernels):
     """A straight road to the North."""
+
+    name = "straight"
+
+    @staticmethod
+    def parameters(scenario: Scenario) -> Mapping[str, Any]:
+        return {}
 
     @kernel(inline=True)
     def on_road(parameters: Any, x: float, y: float) -> Pair:
@@ -123,18 +128,11 @@ class _Straight:
         return touch(p, (y - car_s, -x), (y_after - car_s_after, -x_after), heading - HEADING_NORTH)
 
 
-STRAIGHT = RoadKernels("straight", lambda scenario: {}, **kernels_in(_Straight))
+STRAIGHT = _Straight
 
 
 _SAGITTA: Final = 1e-3  # m, between a chord and its arc: a thousandth of what the sensors see
 _HALVINGS = 30
-
-
-def _curved_parameters_of(scenario: Scenario) -> Mapping[str, Any]:
-    """Return the centre line, where its straight rest begins, m, and a length of chords (m) for the sharpest curve."""
-    line = scenario.road.line
-    sharpest = float(abs(line[:, 4]).max())
-    return {"line": line.copy(), "straight_from": straight_from(line), "chord": math.sqrt(8.0 * _SAGITTA / sharpest)}
 
 
 @kernel(inline=True)
@@ -143,8 +141,21 @@ def _curved_from_car(parameters: Any, x: float, y: float, car_s: float) -> Pair:
     return to_car_frame(x, y, car_x, car_y, heading)
 
 
-class _Curved:
+class _Curved(RoadKernels):
     """A road along a line with curves."""
+
+    name = "curved"
+
+    @staticmethod
+    def parameters(scenario: Scenario) -> Mapping[str, Any]:
+        """Return the line, where its straight rest begins, m, and a length of chords (m) for the sharpest curve."""
+        line = scenario.road.line
+        sharpest = float(abs(line[:, 4]).max())
+        return {
+            "line": line.copy(),
+            "straight_from": straight_from(line),
+            "chord": math.sqrt(8.0 * _SAGITTA / sharpest),
+        }
 
     @kernel(inline=True)
     def on_road(parameters: Any, x: float, y: float) -> Pair:
@@ -220,7 +231,7 @@ class _Curved:
     from_car = _curved_from_car
 
 
-CURVED = RoadKernels("curved", _curved_parameters_of, **kernels_in(_Curved))
+CURVED = _Curved
 
 
 # --- the parts together
@@ -299,7 +310,7 @@ def crossing_parameters(
 
 
 @functools.cache
-def road_user_parts(road_user: RoadUserKernels, car: CarKernels) -> dict[str, Any]:
+def road_user_parts(road_user: type[RoadUserKernels], car: type[CarKernels]) -> dict[str, Any]:
     """Return what a road user brings into models with a kind of car, by interface."""
     parts = {
         "USER_ROW": STATE_DIM + car.own_dim,
@@ -312,13 +323,15 @@ def road_user_parts(road_user: RoadUserKernels, car: CarKernels) -> dict[str, An
 
 
 @functools.cache
-def _part_on_road(part: CarKernels | SensorModel, road: RoadKernels) -> dict[str, Any]:
+def _part_on_road(part: type[CarKernels] | type[SensorModel], road: type[RoadKernels]) -> dict[str, Any]:
     """Return what a kind of car or a sensor brings into models on a road, by interface."""
     return kernels_of(part, f"{part.name}_{road.name}", kernels_of(road, road.name, {}))
 
 
 @functools.cache
-def transition_parts(car: CarKernels, road_user: RoadUserKernels, road: RoadKernels) -> dict[str, Any]:
+def transition_parts(
+    car: type[CarKernels], road_user: type[RoadUserKernels], road: type[RoadKernels]
+) -> dict[str, Any]:
     """Return what objectives can use of a kind of car, a road user and a road, `move` included, by interface."""
     name = f"{road_user.name}_{car.name}_{road.name}"
     parts = _part_on_road(car, road) | road_user_parts(road_user, car) | {"AS_PHI": road_user.action_count}
@@ -328,7 +341,7 @@ def transition_parts(car: CarKernels, road_user: RoadUserKernels, road: RoadKern
 
 @functools.cache
 def _kernels(
-    objective: ObjectiveModel, car: CarKernels, road_user: RoadUserKernels, road: RoadKernels
+    objective: ObjectiveModel, car: type[CarKernels], road_user: type[RoadUserKernels], road: type[RoadKernels]
 ) -> dict[str, Any]:
     """Return the functions of a `Pomdp` that depend on the objective, by name."""
     name = f"{objective.name}_{road_user.name}_{car.name}_{road.name}"
@@ -346,7 +359,7 @@ def _kernels(
 
 
 @functools.cache
-def _reinvigorate(car: CarKernels, sensor: SensorModel, road: RoadKernels) -> Any:
+def _reinvigorate(car: type[CarKernels], sensor: type[SensorModel], road: type[RoadKernels]) -> Any:
     parts = _part_on_road(car, road) | _part_on_road(sensor, road)
     return bound(reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
 
@@ -494,7 +507,7 @@ def hold(
 
 
 @functools.cache
-def _motion_kernels(road_user: RoadUserKernels) -> tuple[Any, Any]:
+def _motion_kernels(road_user: type[RoadUserKernels]) -> tuple[Any, Any]:
     name, parts = f"{road_user.name}_motion", {"USER_ROW": 0, "AS_PHI": road_user.action_count}
     parts |= kernels_of(road_user, name, parts)
     return bound(walk, name, parts), bound(hold, name, parts)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
 
@@ -22,7 +21,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
 from skd_sim.world.state import FloatArray
 
-from skd_adversary.crossing.interfaces import USER_ROW, Pair, RoadUserKernels, RoadUserModel, kernels_in, template
+from skd_adversary.crossing.interfaces import USER_ROW, Pair, RoadUserKernels, RoadUserModel, template
 
 # Actions on foot, in the order of the paper
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
@@ -50,8 +49,12 @@ def compass_velocity(parameters: Any, action: int) -> Pair:
     return parameters.crossing * vx, vy
 
 
-class _Pedestrian:
+class _Pedestrian(RoadUserKernels):
     """A pedestrian: walks at one speed, or stands."""
+
+    name = "pedestrian"
+    action_count, rest = ACTION_COUNT, STAY
+    late, early = (STAY, SOUTH, SOUTH_EAST), (EAST, NORTH_EAST, NORTH)
 
     @kernel(inline=True)
     def start_road_user(parameters: Any, state: FloatArray) -> None:
@@ -95,12 +98,6 @@ class _Pedestrian:
         return first_contact(before[0], before[1], after[0], after[1], p.front, p.rear, p.half_width, p.radius)
 
 
-_PEDESTRIAN_KERNELS = RoadUserKernels(
-    name="pedestrian", action_count=ACTION_COUNT, rest=STAY, own_dim=0, box=False,
-    late=(STAY, SOUTH, SOUTH_EAST), early=(EAST, NORTH_EAST, NORTH), **kernels_in(_Pedestrian),
-)  # fmt: skip
-
-
 _FORMATS: Final = ("carla", "metadrive", "openscenario", "osi", "commonroad", "levelxdata")
 
 
@@ -122,8 +119,10 @@ def nearest_walked(most: float, vx: float, vy: float, target_x: float, target_y:
     return vx + most / change * dx, vy + most / change * dy
 
 
-class _Walker:
+class _Walker(_Pedestrian):
     """A pedestrian whose velocity changes at a limited rate."""
+
+    name, own_dim = "walker", 2
 
     @template
     def start_road_user(parameters: Any, state: FloatArray) -> None:
@@ -161,9 +160,6 @@ class _Walker:
         return nearest_walked(parameters.own_change, vx, vy, x, y)
 
 
-_WALKER_KERNELS = replace(_PEDESTRIAN_KERNELS, name="walker", own_dim=2, **kernels_in(_Walker))
-
-
 def _walker_parameters_of(acceleration: float, scenario: Scenario) -> Mapping[str, Any]:
     return {"own_change": acceleration * scenario.time_step}
 
@@ -176,13 +172,12 @@ def walker(name: str, acceleration: float, **about: Any) -> RoadUserModel:
         acceleration: m/s².
         about: `fastest`, `height`, and perhaps `mass` and `names` of a `RoadUserModel`.
     """
-    return RoadUserModel(name, _WALKER_KERNELS, partial(_walker_parameters_of, acceleration), **about)
+    return RoadUserModel(name, _Walker, partial(_walker_parameters_of, acceleration), **about)
 
 
 # --- on wheels, whose part of a state is heading (rad) and speed (m/s)
 
 KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
-_RIDING_ACTIONS = tuple(range(7))  # full effort is what gets furthest from φ in a given time, to whatever side
 _ACCELERATES = (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _BRAKES = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0)
 _SIDE = (0.0, 0.0, 0.0, 1.0, -1.0, 1.0, -1.0)  # left is positive
@@ -296,8 +291,12 @@ def steered(limits: RidingLimits, crossing: float, heading: float, direction: in
     return LEFT if left > 0.0 else RIGHT
 
 
-class _Wheeled:
+class _Wheeled(RoadUserKernels):
     """A road user on wheels: moves in the direction of its heading."""
+
+    name, own_dim, box = "wheeled", 2, True
+    action_count, rest = 7, BRAKE
+    late = early = tuple(range(7))  # full effort is what gets furthest from φ in a given time, to whatever side
 
     @template
     def start_road_user(parameters: Any, state: FloatArray) -> None:
@@ -355,12 +354,6 @@ class _Wheeled:
         )
 
 
-_WHEELED_KERNELS = RoadUserKernels(
-    name="wheeled", action_count=len(_RIDING_ACTIONS), rest=BRAKE, own_dim=2, box=True,
-    late=_RIDING_ACTIONS, early=_RIDING_ACTIONS, **kernels_in(_Wheeled),
-)  # fmt: skip
-
-
 def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[str, Any]:
     """Return limits, half of the box's length and of its width (m), and how it comes without φ."""
     adversary = scenario.adversary
@@ -376,7 +369,7 @@ def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[
 
 def wheeled(name: str, limits: RidingLimits, **about: Any) -> RoadUserModel:
     """Return a kind of road user on wheels, by its limits; further arguments as of `walker`."""
-    return RoadUserModel(name, _WHEELED_KERNELS, partial(_wheeled_parameters_of, limits), **about)
+    return RoadUserModel(name, _Wheeled, partial(_wheeled_parameters_of, limits), **about)
 
 
 # --- the kinds that there are: those on foot weigh as the dummies Hybrid III of a man and of a child of six, and a man
@@ -384,7 +377,7 @@ def wheeled(name: str, limits: RidingLimits, **about: Any) -> RoadUserModel:
 
 _ON_FOOT: Final = ("pedestrian", "TYPE_PEDESTRIAN", "pedestrian", "pedestrian")
 PEDESTRIAN: Final = RoadUserModel(
-    "pedestrian", _PEDESTRIAN_KERNELS, lambda scenario: {}, fastest=12.0, height=1.8, mass=78.0,
+    "pedestrian", _Pedestrian, lambda scenario: {}, fastest=12.0, height=1.8, mass=78.0,
     names=_named("walker.pedestrian.0001", "PEDESTRIAN", *_ON_FOOT),
 )  # fmt: skip
 RUNNER: Final = walker(
