@@ -81,8 +81,8 @@ def on_collision_course(
     """
     horizon = time_to_stand(speed, deceleration) + margin_time
     reach = stopping_zone(speed, deceleration) + margin
-    ahead_after, left_after = ahead + horizon * velocity_ahead, left + horizon * velocity_left
-    contact = first_contact(ahead, left, ahead_after, left_after, reach, 0.0, half_width + margin, radius)
+    after = (ahead + horizon * velocity_ahead, left + horizon * velocity_left)
+    contact = first_contact((ahead, left), after, (reach, 0.0, half_width + margin), radius)
     return contact <= 1.0
 
 

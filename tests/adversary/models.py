@@ -113,8 +113,8 @@ def played(model: Pomdp, rng: np.random.Generator, actions: int, *, by_policy: b
         reward, terminal = model.step(p, state, action, after, rng)
         earned += reward
         x, y = state[:2]
-        ahead, behind = y - state[CAR_S], after[1] - after[CAR_S]
-        share = first_contact(ahead, -x, behind, -after[0], p.front, p.rear, p.half_width, p.radius)
+        seen, seen_after = (y - state[CAR_S], -x), (after[1] - after[CAR_S], -after[0])
+        share = first_contact(seen, seen_after, (p.front, p.rear, p.half_width), p.radius)
         impact = state[CAR_SPEED] + min(1.0, share) * (after[CAR_SPEED] - state[CAR_SPEED])
         walked.append(state[:2] + min(1.0, share) * (after[:2] - state[:2]))
         if terminal:

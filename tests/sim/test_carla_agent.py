@@ -17,7 +17,14 @@ from skd_sim.controllers.cal import (
     speed_factor,
     sub_steps,
 )
-from skd_sim.ros.carla_bridge import Placement, adversary_from_odometry, pedals, steer, walker_control
+from skd_sim.ros.carla_bridge import (
+    Placement,
+    adversary_from_odometry,
+    car_from_odometry,
+    pedals,
+    steer,
+    walker_control,
+)
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled
@@ -125,7 +132,7 @@ def odometry(x: float, y: float, yaw: float, vx: float, vy: float) -> Any:
 def test_there_and_back(placement: Placement, x: float, y: float, heading: float) -> None:
     assert placement.point_to_crossing(*placement.point_to_map(x, y)) == pytest.approx((x, y), abs=1e-9)
     assert placement.vector_to_crossing(*placement.vector_to_map(x, y)) == pytest.approx((x, y), abs=1e-9)
-    back = placement.car_to_crossing(CarState(*placement.point_to_map(x, y), heading + placement.yaw, 3.0))
+    back = car_from_odometry(odometry(*placement.point_to_map(x, y), heading + placement.yaw, 3.0, 0.0), placement)
     assert back[:2] == pytest.approx((x, y), abs=1e-9)
     assert math.cos(back.heading - heading) == pytest.approx(1.0)
     assert back.speed == 3.0

@@ -122,7 +122,7 @@ def test_load_transfer(deceleration: float) -> None:
     """
     v = BMW_320I
     _, car = drive(scenario(), 30.0, [-deceleration] * 8)
-    rest = rest_state(v)
+    rest = rest_state()
     front = 2.0 * v.K_zt * (car.state[FRONT] - rest[FRONT])
     rear = 2.0 * v.K_zt * (car.state[REAR] - rest[REAR])
     wheelbase = v.a + v.b
@@ -137,7 +137,7 @@ def test_load_transfer(deceleration: float) -> None:
 def test_antilock_keeps_the_wheels_turning_and_stops_sooner(friction: float) -> None:
     _, car = drive(scenario(friction), 20.0, [FULL] * 3)
     slip = 1.0 - BMW_320I.R_w * car.state[WHEELS:] / car.state[SPEED]
-    assert slip.max() < 2.0 * peak_slip(TYRE, friction)
+    assert slip.max() < 2.0 * peak_slip(friction)
     _, locked = drive(scenario(friction, antilock=False), 20.0, [FULL] * 3)
     assert locked.state[WHEELS + 1] == 0.0
     assert stopping_distance(scenario(friction), 20.0) < stopping_distance(scenario(friction, antilock=False), 20.0)
@@ -162,7 +162,7 @@ def test_right_hand_side_is_that_of_a_car_that_goes_straight() -> None:
     theirs = setup_vehicle_parameters(2)
     theirs.tire.p_hx1 = theirs.tire.p_vx1 = theirs.tire.r_vy1 = 0.0  # by which a car at rest would creep and pull
     for _ in range(300):
-        x = rest_state(v)
+        x = rest_state()
         x[SPEED] = rng.uniform(0.5, 40.0)
         for place in (PITCH, PITCH_RATE, HEIGHT, VERTICAL_SPEED, FRONT, FRONT + 1, REAR, REAR + 1):
             x[place] += rng.uniform(-0.01, 0.01)
@@ -171,7 +171,7 @@ def test_right_hand_side_is_that_of_a_car_that_goes_straight() -> None:
         force = 0.5 * v.m * v.R_w
         brake, drive = max(0.0, -acceleration) * force, max(0.0, acceleration) * force
         shares = v.T_sb * brake, (1.0 - v.T_sb) * brake, v.T_se * drive, (1.0 - v.T_se) * drive
-        derivative(x, WheelTorques(*shares, 2.0, 3.0), v, TYRE, 1.0, out)
+        derivative(x, WheelTorques(*shares, 2.0, 3.0), 1.0, out)
         whole = np.zeros(29)
         whole[PLACES] = x
         whole[[24, 26]] = x[WHEELS:]
@@ -205,7 +205,7 @@ def test_right_hand_side_of_a_car_that_steers_is_that_of_the_drift_model() -> No
         force = 0.5 * v.m * v.R_w
         brake, drive = max(0.0, -acceleration) * force, max(0.0, acceleration) * force
         shares = v.T_sb * brake, (1.0 - v.T_sb) * brake, v.T_se * drive, (1.0 - v.T_se) * drive
-        derivative(x, WheelTorques(*shares, 2.0, 3.0, acceleration, steered=True), v, TYRE, 1.0, out)
+        derivative(x, WheelTorques(*shares, 2.0, 3.0, acceleration, steered=True), 1.0, out)
         expected = np.array(vehicle_dynamics_std(x[THEIRS].tolist(), [0.0, acceleration], theirs))
         np.testing.assert_allclose(out[THEIRS], expected, rtol=1e-9, atol=1e-9)
 

@@ -40,7 +40,7 @@ def test_distance_to_the_footprint_in_the_world(ahead, left, front, rear, half_w
 @given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), radius=length)
 def test_first_contact_against_dense_samples(start, end, radius):
     """Distance is 1-Lipschitz in the position: samples bound the first contact from both sides."""
-    fraction = float(first_contact(*start, *end, FRONT, REAR, HALF_WIDTH, radius))
+    fraction = float(first_contact(start, end, (FRONT, REAR, HALF_WIDTH), radius))
     s = np.linspace(0.0, 1.0, 4001)
     points = np.outer(1.0 - s, start) + np.outer(s, end)
     polygon = shapely.box(-REAR, -HALF_WIDTH, FRONT, HALF_WIDTH)
@@ -83,7 +83,7 @@ def test_first_contact_of_boxes_against_polygons(start, end, turned, half_length
         return affinity.translate(other, *((1.0 - s) * np.array(start) + s * np.array(end)))
 
     footprint = (FRONT, REAR, HALF_WIDTH)
-    fraction = float(first_contact_of_boxes(*start, *end, turned, *footprint, half_length, half_width))
+    fraction = float(first_contact_of_boxes(start, end, turned, footprint, (half_length, half_width)))
     swept = shapely.MultiPolygon([at(0.0), at(1.0)]).convex_hull
     if fraction == NO_CONTACT:
         assert swept.intersection(car).area < 1e-6

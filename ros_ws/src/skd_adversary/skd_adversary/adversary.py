@@ -16,7 +16,7 @@ from skd_sim.options.adversary import AdversaryModel, Objective
 from skd_sim.options.car_under_test import BASIC, DEFAULT, DYNAMICS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
-from skd_sim.world.state import CarState, FloatArray, Trajectory
+from skd_sim.world.state import CarState, FloatArray, Pair, Trajectory
 
 from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar, car_model_text, fitted_car
 from skd_adversary.car_models.forest import TICK, gridded, pack
@@ -53,7 +53,7 @@ class Adversary(Protocol):
     def depletions(self) -> int:
         """How often no particle explained what was seen."""
 
-    def act(self, car: CarState) -> tuple[float, float]:
+    def act(self, car: CarState) -> Pair:
         """Return the velocity (East, North), m/s, for the coming time step.
 
         Args:
@@ -122,7 +122,7 @@ class PlanningAdversary:
     def _sense(self, car: CarState) -> FloatArray:
         return self._sensor.sense(self._scenario, self._position, car, self._sensor_rng)
 
-    def act(self, car: CarState) -> tuple[float, float]:
+    def act(self, car: CarState) -> Pair:
         """Sense, update the belief, plan; see `Adversary.act`."""
         seen = self._sense(car)
         if self._action is not None:
@@ -150,7 +150,7 @@ class ReplayAdversary:
         self._velocities = path_velocities(trajectory.positions, len(trajectory), trajectory.time_step).tolist()
         self._tick = 0
 
-    def act(self, car: CarState) -> tuple[float, float]:
+    def act(self, car: CarState) -> Pair:
         """Return the velocity to the next point; see `Adversary.act`."""
         vx, vy = self._velocities[min(self._tick, len(self._velocities) - 1)]
         self._tick += 1

@@ -64,13 +64,12 @@ def _learn(
 
 
 def fit_with_law(
-    data: Observations, *, seed: int = 0, version: str = "unknown"
+    data: Observations, *, version: str = "unknown"
 ) -> tuple[FittedCar, tuple[speed_change.SpeedChange, laws.Law] | None]:
     """Return the car that the logs show, and its law with how the speed changes; None where they show no law.
 
     Args:
         data: all ticks of all logs.
-        seed: seed of the random draws that the calibration needs where the car stops within a tick.
         version: version of SKD, which the model records.
     """
     rows = speed_change.moving(data)
@@ -123,7 +122,7 @@ def fit_with_law(
         lapse=law.lapse,
         families=tuple(one.row for one in candidates),
         chosen=law.family.name,
-        calibration=_calibration(data, change, law, seed),
+        calibration=_calibration(data, change, law),
         braking_ticks=counts.braking,
     )
     return car, (change, law)
@@ -230,9 +229,7 @@ def _pull_estimates(
     return cruise, gain, limit
 
 
-def _calibration(
-    data: Observations, change: speed_change.SpeedChange, law: laws.Law, seed: int
-) -> LawCalibration | None:
+def _calibration(data: Observations, change: speed_change.SpeedChange, law: laws.Law) -> LawCalibration | None:
     """Return how well a fourth of the logs is predicted from the others by the chosen family."""
     test = laws.folds_of(data.episode, _HELD_OUT_FOLDS) == _HELD_OUT_FOLDS - 1
     if not test.any() or int(speed_change.moving(data.of(test)).sum()) < _KS_TICKS:
@@ -246,7 +243,7 @@ def _calibration(
         braking, free = _modes(change, known, train, rows)
         change = speed_change.refit(change, train.of(rows), free, braking)
         known = laws.fit_family(law.family, laws.evidence(change, train, law.family, rows), near=law)
-    values = laws.integral_transform(change, known, data.of(test), np.random.default_rng(seed))
+    values = laws.integral_transform(change, known, data.of(test), np.random.default_rng(0))
     statistic, p_value = laws.kolmogorov_smirnov(values)
     return LawCalibration(int(values.size), statistic, p_value)
 
@@ -267,7 +264,7 @@ def near(data: Observations) -> BoolArray:
     return np.asarray(beside & (data.gap <= NEAR[0]) & (data.gap >= -data.car_length))
 
 
-def learn_car(data: Observations, *, seed: int = 0, version: str = "unknown", folds: int = FOLDS) -> FittedCar:
+def learn_car(data: Observations, *, version: str = "unknown", folds: int = FOLDS) -> FittedCar:
     """Return the car that the logs show: as a law, and as a forest where it evades, or that predicts it better.
 
     Better is by more than a standard error of the score of held-out ticks near the road user. The law has seen the
@@ -275,18 +272,17 @@ def learn_car(data: Observations, *, seed: int = 0, version: str = "unknown", fo
 
     Args:
         data: all ticks of all logs.
-        seed: seed of every random draw.
         version: version of SKD, which the model records.
         folds: how many of the parts are predicted from the others; fewer take less time.
     """
-    car, fitted = fit_with_law(data, seed=seed, version=version)
+    car, fitted = fit_with_law(data, version=version)
     if data.episodes < LEAST_EPISODES or not speed_change.moving(data).any():
         return car
     if data.evades:
-        return replace(car, forest=grow(data, seed=seed))
-    fold, rng = laws.folds_of(data.episode, FOLDS), np.random.default_rng(seed)
+        return replace(car, forest=grow(data))
+    fold, rng = laws.folds_of(data.episode, FOLDS), np.random.default_rng(0)
     parts = [data.of(fold == part) for part in range(folds)]
-    grown = (grow(data.of(fold != part), seed=seed).trees for part in range(folds))
+    grown = (grow(data.of(fold != part)).trees for part in range(folds))
     by_forest = _joined([_of_forest(trees, test, rng) for trees, test in zip(grown, parts, strict=True)])
     predictions = [by_forest.prediction("forest")]
     if fitted is not None:
@@ -297,7 +293,7 @@ def learn_car(data: Observations, *, seed: int = 0, version: str = "unknown", fo
         by_episode = np.bincount(episode, gain) if gain.size else np.zeros(1)
         if not by_episode.sum() > math.sqrt(by_episode.size) * float(by_episode.std()):
             return replace(car, predictions=tuple(predictions))
-    return replace(car, forest=grow(data, seed=seed), predictions=tuple(predictions))
+    return replace(car, forest=grow(data), predictions=tuple(predictions))
 
 
 class _Scores(NamedTuple):

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
-from skd_sim.world.state import BoolArray, FloatArray
+from skd_sim.world.state import BoolArray, FloatArray, Pair, Triple
 
 from skd_adversary.car_models.observations import Observations
 
@@ -42,8 +42,6 @@ _LONGEST: Final = 8.0  # s
 _WIDEST: Final = 30.0  # m
 
 Array = npt.NDArray[Any]
-Pair = tuple[float, float]
-Triple = tuple[float, float, float]
 Floats = npt.NDArray[np.float64]
 
 

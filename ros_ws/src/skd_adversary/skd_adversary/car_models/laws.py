@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
-from skd_sim.world.state import BoolArray, FloatArray, IntArray
+from skd_sim.world.state import BoolArray, FloatArray, IntArray, Pair
 
 from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FamilyRow
 from skd_adversary.car_models.identifiability import LEVEL, IntervalEstimate, marginal_estimate, step_estimate
@@ -106,15 +106,15 @@ class BrakingEvidence:
     episode: FloatArray
 
 
-def _delayed(column: FloatArray, data: Observations, delay: int, before: float) -> FloatArray:
-    """Return a column as it was `delay` ticks ago in the same episode; `before` where that is before its start."""
+def _delayed(column: FloatArray, data: Observations, delay: int) -> FloatArray:
+    """Return a column as it was `delay` ticks ago in the same episode; infinity where that is before its start."""
     if delay == 0:
         return column
-    shifted = np.full(column.shape, before)
+    shifted = np.full(column.shape, np.inf)
     shifted[delay:] = column[:-delay]
     same = np.zeros(column.shape, dtype=bool)
     same[delay:] = (data.episode[delay:] == data.episode[:-delay]) & (data.tick[delay:] - data.tick[:-delay] == delay)
-    return np.where(same, shifted, before)
+    return np.where(same, shifted, np.inf)
 
 
 def nearness(data: Observations, family: Family) -> FloatArray:
@@ -125,7 +125,7 @@ def nearness(data: Observations, family: Family) -> FloatArray:
         closing = data.speed - data.receding
         ahead = (closing > 0.0) & (data.gap >= -data.car_length)
         near = np.where(ahead, np.maximum(data.gap, 0.0) / np.where(ahead, closing, 1.0), np.inf)
-    return _delayed(near, data, family.delay, np.inf)
+    return _delayed(near, data, family.delay)
 
 
 def aside(data: Observations, family: Family) -> FloatArray:
@@ -133,14 +133,14 @@ def aside(data: Observations, family: Family) -> FloatArray:
     if family.gate == "none":
         return np.zeros(len(data))
     if family.gate == "position":
-        return _delayed(np.abs(data.lateral), data, family.delay, np.inf)
+        return _delayed(np.abs(data.lateral), data, family.delay)
     closing = data.speed - data.receding
     coming = closing > 1e-9
     safe = np.where(coming, closing, 1.0)
     begin = data.lateral + data.sideways * np.maximum(data.gap, 0.0) / safe
     end = data.lateral + data.sideways * np.maximum(data.gap + data.car_length, 0.0) / safe
     least = np.where(begin * end <= 0.0, 0.0, np.minimum(np.abs(begin), np.abs(end)))
-    return _delayed(np.where(coming, least, np.inf), data, family.delay, np.inf)
+    return _delayed(np.where(coming, least, np.inf), data, family.delay)
 
 
 def evidence(change: SpeedChange, data: Observations, family: Family, rows: BoolArray) -> BrakingEvidence:
@@ -484,7 +484,7 @@ def spread_estimates(e: BrakingEvidence, law: Law) -> tuple[IntervalEstimate, In
     return trigger, marginal_estimate(spreads, by_spread, law.spread)
 
 
-def _around(grid: FloatArray, inside: FloatArray) -> tuple[float, float]:
+def _around(grid: FloatArray, inside: FloatArray) -> Pair:
     """Return a range around the points that count, wider where they reach the grid's ends."""
     chosen = np.flatnonzero(inside)
     step = float(grid[1] - grid[0])
@@ -521,7 +521,7 @@ def integral_transform(change: SpeedChange, law: Law, data: Observations, rng: n
     return np.asarray(np.where(stopped, value * rng.random(value.size), value))
 
 
-def kolmogorov_smirnov(values: FloatArray) -> tuple[float, float]:
+def kolmogorov_smirnov(values: FloatArray) -> Pair:
     """Return statistic and p-value of uniformity on [0, 1] (asymptotic, with Stephens' correction)."""
     n = values.size
     ordered = np.sort(values)

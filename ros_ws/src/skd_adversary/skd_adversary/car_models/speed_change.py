@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
-from skd_sim.world.state import BoolArray, FloatArray
+from skd_sim.world.state import BoolArray, FloatArray, Pair, Triple
 
 from skd_adversary.car_models.identifiability import IntervalEstimate, marginal_estimate
 from skd_adversary.car_models.observations import Observations
@@ -43,7 +43,7 @@ class SpeedChange(NamedTuple):
     deceleration_noise: float
     gain: float = 0.0
     cruise_speed: float = 0.0
-    weights: tuple[float, float, float] = (0.9, 0.1, 0.0)
+    weights: Triple = (0.9, 0.1, 0.0)
     limit: float = math.inf
 
 
@@ -104,8 +104,8 @@ def distributions(p: SpeedChange, data: Observations) -> tuple[FloatArray, Float
 
 
 def _mixture(
-    parts: tuple[FloatArray, FloatArray, FloatArray], rounds: int, start: tuple[float, float, float] = (0.6, 0.35, 0.05)
-) -> tuple[float, tuple[float, float, float], FloatArray]:
+    parts: tuple[FloatArray, FloatArray, FloatArray], rounds: int, start: Triple = (0.6, 0.35, 0.05)
+) -> tuple[float, Triple, FloatArray]:
     """Return log-likelihood, weights and responsibilities (3 × n) of a mixture whose weights are fitted by EM."""
     stacked = np.stack(parts)
     weights = np.array(start)
@@ -373,9 +373,7 @@ def braking_estimates(p: SpeedChange, data: Observations) -> tuple[IntervalEstim
     )
 
 
-def _window(
-    grid: FloatArray, density: FloatArray, least: float, most: float = np.inf
-) -> tuple[tuple[float, float], bool]:
+def _window(grid: FloatArray, density: FloatArray, least: float, most: float = np.inf) -> tuple[Pair, bool]:
     """Return a range that holds all that a density leaves possible, and whether the grid already was such a range."""
     step = float(grid[1] - grid[0])
     inside = np.flatnonzero(density > 1e-5 * density.max())

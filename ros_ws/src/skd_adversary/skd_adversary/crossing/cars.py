@@ -33,7 +33,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance
-from skd_sim.world.state import CarState, FloatArray, draw_relative, next_speed, travelled
+from skd_sim.world.state import CarState, FloatArray, Pair, Triple, draw_relative, next_speed, travelled
 
 from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FittedCar
 from skd_adversary.car_models.forest import features_of, leaf_of
@@ -47,9 +47,7 @@ from skd_adversary.crossing.interfaces import (
     TRIGGER,
     TURNED,
     CarKernels,
-    Pair,
     SensorModel,
-    Triple,
     at_distance,
     from_car,
     on_road,

@@ -25,7 +25,7 @@ from skd_sim.kernels.compilation import template as template
 from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import runs_into
-from skd_sim.world.state import CarState, FloatArray
+from skd_sim.world.state import CarState, FloatArray, Pair, Triple
 
 from skd_adversary.pomdp.planner import Backup, Cells, PlannerOptions
 
@@ -34,9 +34,6 @@ ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
 STATE_DIM = 5
 OFFSET, TURNED = range(STATE_DIM, STATE_DIM + 2)
 """Of a car that evades: how far it is to the right of the middle of its lane, m, and turned to the right of it, rad."""
-
-Pair = tuple[float, float]
-Triple = tuple[float, float, float]
 
 _acts: Callable[..., None] = unbound
 _gives_number: Callable[..., float] = unbound
@@ -57,7 +54,7 @@ on_road = velocity_on_road = from_car = to_middle = aside = _gives_pair
 at_distance = contact = _gives_number
 left_behind = _gives_truth
 # of the objective: see `ObjectiveModel`
-begin, chosen, sensible = _acts, _gives_pair, _gives_truth
+begin = _acts
 
 move = _gives_number
 """Of all parts together (`model`): (parameters, state, vx, vy, next_state_out, rng) → share of the step at which
@@ -102,7 +99,7 @@ within = kernel(inline=True)(inside)
 
 
 @kernel(inline=True)
-def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float, float]:
+def path_velocity(path: FloatArray, tick: int, time_step: float) -> Pair:
     """Return φ's own velocity (East, North), m/s, from a tick to the next: that of the action *as φ* of who can.
 
     Args:
@@ -116,7 +113,7 @@ def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float,
 
 
 @kernel(inline=True)
-def pace_at(pace: FloatArray, tick: int) -> tuple[float, float]:
+def pace_at(pace: FloatArray, tick: int) -> Pair:
     """Return `path_velocity` of a tick, looked up: `pace` is `path_velocities` of φ's ticks, m/s."""
     if tick >= pace.shape[0]:
         return 0.0, 0.0
@@ -147,12 +144,6 @@ def _begin_nothing(parameters: Any, state: FloatArray) -> None:
     """Write nothing: the objective has no state of its own."""
 
 
-@kernel(inline=True)
-def _always(parameters: Any, state: FloatArray, vx: float, vy: float) -> bool:
-    """Allow any velocity."""
-    return True
-
-
 @dataclass(frozen=True)
 class ObjectiveModel:
     """What the adversary wants; see `objectives` for those there are.
@@ -167,8 +158,6 @@ class ObjectiveModel:
         legal: which actions are legal; see `Pomdp`.
         begin: (parameters, state_out): write the objective's own part of a first state, which begins at `ROW`.
         own_dim: number of points of φ → length of the objective's own part of a state.
-        chosen: (parameters, state, action) → velocity; by default the road user's, for an objective without *as φ*.
-        sensible: (parameters, state, vx, vy) → whether a velocity that the road user can have makes sense.
         follows_phi: whether there is one action more than the road user's, *as φ* (`AS_PHI`).
         plans_deviation: the distance that it plans for, and that a maximum distance limits, is the deviation; else
             the discrete Fréchet distance.
@@ -183,8 +172,6 @@ class ObjectiveModel:
     legal: Any = None
     begin: Any = _begin_nothing
     own_dim: Callable[[int], int] = field(default=lambda _points: 0)
-    chosen: Any = None
-    sensible: Any = _always
     follows_phi: bool = False
     plans_deviation: bool = False
 

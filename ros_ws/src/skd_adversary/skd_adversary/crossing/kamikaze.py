@@ -25,7 +25,7 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import FloatArray
+from skd_sim.world.state import FloatArray, Pair, Triple
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
@@ -40,10 +40,7 @@ from skd_adversary.crossing.interfaces import (
     SEARCH,
     USER_DIM,
     ObjectiveModel,
-    Pair,
-    Triple,
     aside,
-    chosen,
     contact,
     expected_motion,
     last_changes,
@@ -58,7 +55,6 @@ from skd_adversary.crossing.interfaces import (
     path_velocities,
     pointing,
     possible,
-    sensible,
     steer,
     template,
     to_middle,
@@ -118,7 +114,7 @@ def _squared_deviation(path: FloatArray, x: float, y: float, tick: int, share: f
 
 @template
 def _chosen(parameters: Any, state: FloatArray, action: int) -> Pair:
-    """Interface `chosen`."""
+    """Return the velocity (East, North), m/s, of an action of a state."""
     if action == AS_PHI:
         phi_x, phi_y = pace_at(parameters.pace, int(state[ROW + 1]))
         return possible(parameters, state, phi_x, phi_y)
@@ -132,7 +128,7 @@ def step(
     """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
     p = parameters
     tick = int(state[ROW + 1])
-    vx, vy = chosen(p, state, action)
+    vx, vy = _chosen(p, state, action)
     fraction = move(p, state, vx, vy, next_state, rng)
     hit = fraction <= 1.0
     x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
@@ -175,21 +171,15 @@ def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
 
 @template
 def legal(parameters: Any, state: FloatArray, action: int) -> bool:
-    """Return whether an action makes sense; as φ always does."""
-    if action == AS_PHI:
-        return True
-    own_x, own_y = velocity(parameters, state, action)
-    return sensible(parameters, state, own_x, own_y)
-
-
-@template
-def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) -> bool:
-    """Interface `sensible`.
+    """Return whether an action makes sense; as φ always does.
 
     None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
     met before is seldom worth it, and depends on its model to the decimetre), none into an obstacle, and no
     displacement twice.
     """
+    if action == AS_PHI:
+        return True
+    own_x, own_y = velocity(parameters, state, action)
     p = parameters
     x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(p, x, y)
@@ -400,8 +390,6 @@ DEVIATION: Final = ObjectiveModel(
     legal=legal,
     begin=begin,
     own_dim=lambda points: _OWN,
-    chosen=_chosen,
-    sensible=_sensible,
     follows_phi=True,
     plans_deviation=True,
 )

@@ -18,7 +18,7 @@ from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.road import HEADING_NORTH, road_pose, road_position, straight_from
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame
-from skd_sim.world.state import FloatArray, IntArray
+from skd_sim.world.state import FloatArray, IntArray, Pair
 
 from skd_adversary.crossing.interfaces import (
     ADVERSARY_X,
@@ -29,7 +29,6 @@ from skd_adversary.crossing.interfaces import (
     CarKernels,
     CarPrediction,
     ObjectiveModel,
-    Pair,
     RoadKernels,
     RoadUserKernels,
     RoadUserModel,
@@ -348,8 +347,6 @@ def _kernels(
     parts = dict(transition_parts(car, road_user, road))
     parts["ROW"] = parts["USER_ROW"] + road_user.own_dim
     parts["begin"] = bound(objective.begin, name, parts)
-    parts["chosen"] = bound(objective.chosen, name, parts) or parts["velocity"]
-    parts["sensible"] = bound(objective.sensible, name, parts)
     return {
         "initial": bound(initial_state, name, parts),
         "step": bound(objective.step, name, parts),

@@ -19,9 +19,9 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact, first_contact_of_boxes
-from skd_sim.world.state import FloatArray
+from skd_sim.world.state import FloatArray, Pair
 
-from skd_adversary.crossing.interfaces import USER_ROW, Pair, RoadUserKernels, RoadUserModel, template
+from skd_adversary.crossing.interfaces import USER_ROW, RoadUserKernels, RoadUserModel, template
 
 # Actions on foot, in the order of the paper
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
@@ -95,7 +95,7 @@ class _Pedestrian(RoadUserKernels):
     @kernel(inline=True)
     def touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
         p = parameters
-        return first_contact(before[0], before[1], after[0], after[1], p.front, p.rear, p.half_width, p.radius)
+        return first_contact(before, after, (p.front, p.rear, p.half_width), p.radius)
 
 
 _FORMATS: Final = ("carla", "metadrive", "openscenario", "osi", "commonroad", "levelxdata")
@@ -346,12 +346,8 @@ class _Wheeled(RoadUserKernels):
     @kernel(inline=True)
     def touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
         p = parameters
-        ahead, left = before
-        ahead_after, left_after = after
-        own_length, own_width = p.own_half_length, p.own_half_width
-        return first_contact_of_boxes(
-            ahead, left, ahead_after, left_after, turned, p.front, p.rear, p.half_width, own_length, own_width
-        )
+        own = (p.own_half_length, p.own_half_width)
+        return first_contact_of_boxes(before, after, turned, (p.front, p.rear, p.half_width), own)
 
 
 def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[str, Any]:

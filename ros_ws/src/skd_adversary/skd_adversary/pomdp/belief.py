@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from skd_sim.kernels.compilation import bound, kernel, template, unbound
 from skd_sim.kernels.stream import stream_of
-from skd_sim.world.state import FloatArray
+from skd_sim.world.state import FloatArray, Pair
 
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.tree import IndexArray
@@ -95,7 +95,7 @@ def draw_sources(weights: FloatArray, sources: IndexArray, rng: np.random.Genera
 
 
 @kernel
-def moments(particles: FloatArray, weights: FloatArray, column: int) -> tuple[float, float]:
+def moments(particles: FloatArray, weights: FloatArray, column: int) -> Pair:
     """Return the mean of one number of the state and its standard deviation, by normalised weights."""
     mean = 0.0
     for i in range(particles.shape[0]):
@@ -149,7 +149,7 @@ class ParticleBelief:
         mean: FloatArray = self.weights @ self.particles
         return mean
 
-    def moments(self, column: int) -> tuple[float, float]:
+    def moments(self, column: int) -> Pair:
         """Return the mean of one number of the state and its standard deviation."""
         mean, deviation = moments(self.particles, self.weights, column)
         return mean, deviation

@@ -17,7 +17,7 @@ from skd_sim.ros.support import STREAM, EpisodeFollower, GraphNode, Topic, decla
 from skd_sim.ros.to_messages import car_to_odometry, velocity_command
 from skd_sim.scenario.road import HEADING_NORTH, road_pose
 from skd_sim.world.episode import EpisodeSpec
-from skd_sim.world.state import CarState
+from skd_sim.world.state import CarState, Pair
 
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary, warm_up_episodes
 
@@ -48,7 +48,7 @@ class GraphAdversary:
         self._node, self._make = node, make
         self._adversary: Adversary | None = None
         self._next_tick = 0
-        self._answer: tuple[int, tuple[float, float]] | None = None
+        self._answer: tuple[int, Pair] | None = None
         self._command = node.create_publisher(TwistStamped, Topic.VELOCITY_COMMAND, STREAM)
         self._believed = node.create_publisher(Odometry, Topic.BELIEVED_CAR, STREAM)
 
@@ -58,7 +58,7 @@ class GraphAdversary:
         self._adversary = self._make(episode)
         self._next_tick, self._answer = 0, None
 
-    def answer(self, tick: int, stamp: int, car: CarState) -> tuple[float, float] | None:
+    def answer(self, tick: int, stamp: int, car: CarState) -> Pair | None:
         """Decide on a tick by the car's state, once; publish the velocity where a node listens, and return it.
 
         A tick that comes out of turn has no answer: this node joined in the middle, or could not keep up.

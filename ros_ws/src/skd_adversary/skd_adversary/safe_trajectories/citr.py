@@ -181,7 +181,7 @@ def touches_cart(clip: Clip, track: ClipTrack, radius: float) -> bool:
         for i, j in zip(mine, theirs, strict=True)
     ]
     return any(
-        math.isfinite(first_contact(*before, *after, CART_FRONT, CART_REAR, CART_HALF_WIDTH, radius))
+        math.isfinite(first_contact(before, after, (CART_FRONT, CART_REAR, CART_HALF_WIDTH), radius))
         for before, after in zip(seen[:-1] if len(seen) > 1 else seen, seen[1:] or seen, strict=True)
     )
 

@@ -49,7 +49,7 @@ import numpy.typing as npt
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road_user import ROAD_USERS, Body
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.contact import first_contact, first_contact_of_boxes
+from skd_sim.world.contact import first_touch
 from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scenes_of
@@ -300,14 +300,9 @@ def _shares(
         shape: of the other, as in `Interaction`.
     """
     found = np.empty(before.shape[0])
-    front, rear, side = footprint
-    radius, half_length, half_width = shape
     for row in range(before.shape[0]):
-        a, b, c, d = before[row, 0], before[row, 1], after[row, 0], after[row, 1]
-        if radius > 0.0:
-            found[row] = first_contact(a, b, c, d, front, rear, side, radius)
-        else:
-            found[row] = first_contact_of_boxes(a, b, c, d, turned[row], front, rear, side, half_length, half_width)
+        begin, end = (before[row, 0], before[row, 1]), (after[row, 0], after[row, 1])
+        found[row] = first_touch(begin, end, turned[row], footprint, shape)
     return found
 
 

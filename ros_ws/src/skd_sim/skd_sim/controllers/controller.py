@@ -28,7 +28,7 @@ from skd_sim.options.registry import load, place_of, reason_of
 from skd_sim.scenario.scenario import CONTROL_PERIODS, Scenario, check_control_period
 from skd_sim.world.dynamics.basic import Command, steering_angle, wheels
 from skd_sim.world.sensors import Scan
-from skd_sim.world.state import AdversaryState, CarState, FloatArray, Scene
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, Pair, Scene
 
 _Result = TypeVar("_Result")
 
@@ -261,7 +261,7 @@ def _number(answer: Any) -> float:
 _SCENARIOS = 64  # copies of scenarios that a controller keeps
 
 
-def _pair(answer: Any) -> tuple[float, float] | None:
+def _pair(answer: Any) -> Pair | None:
     """Return the two numbers of an answer; None where it is no pair."""
     if isinstance(answer, (tuple, list, np.ndarray)) and np.shape(answer) == (2,):
         return _number(answer[0]), _number(answer[1])

@@ -120,10 +120,7 @@ def isolated(whose: str, work: Callable[[_Item], _Result], item: _Item) -> _Resu
 
 
 def isolated_each(
-    whose: str,
-    work: Callable[[_Item], _Result],
-    items: Sequence[_Item],
-    lost: Callable[[_Item, str], _Result],
+    whose: str, work: Callable[[_Item], _Result], items: Sequence[_Item], lost: Callable[[_Item, str], _Result]
 ) -> Iterator[_Result]:
     """Yield `work` of each item as `isolated` returns it; all items are sent at once, which costs far less.
 

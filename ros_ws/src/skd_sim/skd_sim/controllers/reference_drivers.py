@@ -22,7 +22,7 @@ import numpy as np
 
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import CarState, FloatArray, RoadUserState, Scene, to_body
+from skd_sim.world.state import CarState, FloatArray, RoadUserState, Scene, Triple, to_body
 
 PERIOD = 0.1  # s between two decisions, as in the JRC's code
 GRAVITY = 9.81  # m/s²
@@ -137,14 +137,7 @@ class ReferenceDriver(ABC):
         ]
 
     def _situation(
-        self,
-        ahead: float,
-        left: float,
-        first: float,
-        speed: float,
-        user: RoadUserState,
-        shape: tuple[float, float, float],
-        along: float,
+        self, ahead: float, left: float, first: float, speed: float, user: RoadUserState, shape: Triple, along: float
     ) -> RelativeState:
         radius, half_length, half_width = shape
         _, _, heading = road_pose(self._line, along)

@@ -37,7 +37,7 @@ from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import FramedSimulator, SimulatorError, States
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
+from skd_sim.world.state import AdversaryState, CarState, Pair, RoadUserState, Triple, on_grid
 
 # --- states in, controls out, and the actors that a scenario needs
 
@@ -49,39 +49,24 @@ class Placement(NamedTuple):
     y: float
     yaw: float
 
-    def vector_to_map(self, x: float, y: float) -> tuple[float, float]:
+    def vector_to_map(self, x: float, y: float) -> Pair:
         """Return a direction or a velocity of the crossing's frame in the map's axes."""
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         return cos * x - sin * y, sin * x + cos * y
 
-    def vector_to_crossing(self, x: float, y: float) -> tuple[float, float]:
+    def vector_to_crossing(self, x: float, y: float) -> Pair:
         """Return a direction or a velocity of the map in the crossing's axes."""
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         return cos * x + sin * y, cos * y - sin * x
 
-    def point_to_map(self, x: float, y: float) -> tuple[float, float]:
+    def point_to_map(self, x: float, y: float) -> Pair:
         """Return a point (m) of the crossing's frame in the map."""
         dx, dy = self.vector_to_map(x, y)
         return self.x + dx, self.y + dy
 
-    def point_to_crossing(self, x: float, y: float) -> tuple[float, float]:
+    def point_to_crossing(self, x: float, y: float) -> Pair:
         """Return a point (m) of the map in the crossing's frame."""
         return self.vector_to_crossing(x - self.x, y - self.y)
-
-    def car_to_crossing(self, car: CarState) -> CarState:
-        """Return a car's state in the crossing's frame."""
-        return CarState(*self.point_to_crossing(car.x, car.y), _wrapped(car.heading - self.yaw), car.speed)
-
-    def adversary_to_crossing(self, adversary: AdversaryState) -> AdversaryState:
-        """Return an adversary's state in the crossing's frame."""
-        return AdversaryState(
-            *self.point_to_crossing(adversary.x, adversary.y), *self.vector_to_crossing(adversary.vx, adversary.vy)
-        )
-
-
-def _wrapped(angle: float) -> float:
-    """Return the same angle in [−π, π]."""
-    return math.remainder(angle, math.tau)
 
 
 def yaw_of(orientation: Any) -> float:
@@ -93,20 +78,20 @@ def yaw_of(orientation: Any) -> float:
 def car_from_odometry(message: Any, placement: Placement) -> CarState:
     """Return the car's state in the crossing's frame; a car that rolls back has speed 0."""
     position = message.pose.pose.position
-    speed = max(0.0, float(message.twist.twist.linear.x))
-    car = CarState(float(position.x), float(position.y), yaw_of(message.pose.pose.orientation), speed)
-    return placement.car_to_crossing(car)
+    heading = math.remainder(yaw_of(message.pose.pose.orientation) - placement.yaw, math.tau)
+    place = placement.point_to_crossing(float(position.x), float(position.y))
+    return CarState(*place, heading, max(0.0, float(message.twist.twist.linear.x)))
 
 
 def adversary_from_odometry(message: Any, placement: Placement) -> AdversaryState:
     """Return the adversary's state in the crossing's frame; its twist comes in its own axes, ours is in the frame's."""
     position, linear = message.pose.pose.position, message.twist.twist.linear
     facing = Placement(0.0, 0.0, yaw_of(message.pose.pose.orientation))
-    vx, vy = facing.vector_to_map(float(linear.x), float(linear.y))
-    return placement.adversary_to_crossing(AdversaryState(float(position.x), float(position.y), vx, vy))
+    velocity = placement.vector_to_crossing(*facing.vector_to_map(float(linear.x), float(linear.y)))
+    return AdversaryState(*placement.point_to_crossing(float(position.x), float(position.y)), *velocity)
 
 
-def box_from_odometry(message: Any, placement: Placement, velocity: tuple[float, float]) -> AdversaryState:
+def box_from_odometry(message: Any, placement: Placement, velocity: Pair) -> AdversaryState:
     """Return the state of an adversary that is put where it is to be, in the crossing's frame.
 
     Args:
@@ -120,7 +105,7 @@ def box_from_odometry(message: Any, placement: Placement, velocity: tuple[float,
     return AdversaryState(*place, *velocity, float(on_grid(heading)))
 
 
-def pedals(acceleration: float, full_throttle: float, full_brake: float) -> tuple[float, float]:
+def pedals(acceleration: float, full_throttle: float, full_brake: float) -> Pair:
     """Return throttle and brake, in [0, 1], for an acceleration command (m/s²), linear up to what a full pedal gives.
 
     Args:
@@ -141,7 +126,7 @@ def steer(angle: float, full_lock: float) -> float:
     return min(1.0, max(-1.0, -angle / full_lock))
 
 
-def walker_control(velocity: tuple[float, float], placement: Placement) -> tuple[float, float, float]:
+def walker_control(velocity: Pair, placement: Placement) -> Triple:
     """Return where an adversary on foot goes for a velocity in the crossing's frame: direction (x, y), speed, m/s."""
     direction = math.atan2(velocity[1], velocity[0])
     return (*placement.vector_to_map(math.cos(direction), math.sin(direction)), math.hypot(*velocity))
@@ -280,7 +265,7 @@ class CarlaFrames:
         """Take the scenario, and where its obstacles are."""
         self._scenario = scenario
         self._walks = walks(blueprints(scenario)[ADVERSARY])
-        self._staged: dict[str, tuple[float, float, float]] = {}
+        self._staged: dict[str, Triple] = {}
         if not self._settings["obstacles_on_map"]:
             for index, one in enumerate(scenario.obstacles):
                 self._staged[OBSTACLE.format(index)] = one.x, one.y, one.heading
@@ -309,7 +294,7 @@ class CarlaFrames:
                 self._at = now[1]
                 return now
 
-    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
+    def control(self, acceleration: float, steering: float, velocity: Pair) -> None:
         """Send both commands, and wait until they have arrived: topics have no common order, and no answer comes."""
         throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
         side = steer(steering, self._settings["full_steering"])

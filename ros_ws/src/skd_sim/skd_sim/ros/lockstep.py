@@ -46,6 +46,7 @@ class CommandSource:
         topic: topic on which its commands are published.
         senders: what the middleware knows of those that publish there.
         command: command for the coming step; None until it has come.
+        answers: what was answered in this episode, by stamp, ns.
         has_answered: whether it has ever answered a tick with its stamp.
     """
 
@@ -58,7 +59,7 @@ class CommandSource:
     def begin(self) -> None:
         """Forget the last episode."""
         self.command: tuple[float, ...] | None = None
-        self._answers: dict[int, tuple[float, ...]] = {}
+        self.answers: dict[int, tuple[float, ...]] = {}
         self.go_on()
 
     def go_on(self) -> None:
@@ -70,13 +71,9 @@ class CommandSource:
         self._ignored += 1
         self._newest = max(self._newest, stamp)
 
-    def has_answer(self, stamp: int) -> bool:
-        """Return whether there was an answer with this stamp (ns) already."""
-        return stamp in self._answers
-
     def note(self, stamp: int, answer: tuple[float, ...]) -> None:
         """Take note of the first answer with a stamp (ns)."""
-        self._answers[stamp] = answer
+        self.answers[stamp] = answer
         self.has_answered = True
 
     def contradiction(self, stamp: int, answer: tuple[float, ...], start: int) -> str | None:
@@ -90,7 +87,7 @@ class CommandSource:
             answer: command that answers the tick.
             start: stamp of tick 0, ns.
         """
-        same = self._answers[stamp] == answer
+        same = self.answers[stamp] == answer
         if same and stamp == start:
             return None
         how = "with the same command" if same else "with different commands"
@@ -120,8 +117,8 @@ class CommandSource:
             )
         if not self.senders.count():
             return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")
-        how = f"; it has answered {len(self._answers)} times before, and hangs" if self._answers else ""
-        if len(self._answers) == 1:  # the first state is repeated, so that it is not known how long its answer took
+        how = f"; it has answered {len(self.answers)} times before, and hangs" if self.answers else ""
+        if len(self.answers) == 1:  # the first state is repeated, so that it is not known how long its answer took
             how = f"; it has answered once: it hangs, or is too slow for -p command_timeout:={limit:g}"
         if slowest > _SLOW * limit:
             how = f"; its answers took up to {slowest:.2g} s, it is too slow for -p command_timeout:={limit:g}"
@@ -376,7 +373,7 @@ class Lockstep:
         if self._real_time and stamp == 0:
             stamp = None  # which says nothing
         if stamp is not None and not self._real_time and self._start <= stamp <= self.stamp:
-            if source.has_answer(stamp):
+            if stamp in source.answers:
                 return self.fail(source.contradiction(stamp, answer, self._start))
             source.note(stamp, answer)
         if stamp is not None and not self._wants(stamp):

@@ -53,7 +53,7 @@ from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, Simul
 from skd_sim.world.dynamics.basic import Command, CommandLimits, wheels
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.sensors import InertialUnit, PlanarLaser, make_laser
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Scene
+from skd_sim.world.state import AdversaryState, CarState, Pair, RoadUserState, Scene
 from skd_sim.world.timing import Schedule
 
 TABLES = (SimulatorOptions,)
@@ -364,7 +364,7 @@ class GraphSimulator:
         self._message = message
         self._start = from_stamp(message.header.stamp)
         self._schedule = None
-        self._commands: list[tuple[float, float]] = []
+        self._commands: list[Pair] = []
         try:
             self._episode: EpisodeSpec = message_to_episode(message)
             require_others(self._simulator, self._node.get_name(), self._episode)
@@ -393,7 +393,7 @@ class GraphSimulator:
 
     # --- what arrives
 
-    def walk(self, stamp: int, velocity: tuple[float, float]) -> None:
+    def walk(self, stamp: int, velocity: Pair) -> None:
         """Take the adversary's velocity, (East, North), m/s, for the tick of a stamp (ns)."""
         self._do(self._lockstep.walk(stamp, velocity, now=time.monotonic()))
 

@@ -21,7 +21,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, as_pair
 from skd_sim.world.episode import EpisodeSpec, controller_seed
 from skd_sim.world.sensors import Inertia, Scan
-from skd_sim.world.state import AdversaryState, CarState, Scene, to_body
+from skd_sim.world.state import AdversaryState, CarState, Pair, Scene, Triple, to_body
 from skd_sim.world.timing import NANOSECONDS
 
 _VARIANCE = 1e-6  # of each number, in SI units squared. All are true; but filters invert covariances, and zeros have no
@@ -91,9 +91,7 @@ def scene_to_transforms(scene: Scene, stamp: int, frames: Frames = FRAMES) -> TF
     return TFMessage(transforms=moved)
 
 
-def static_transforms(
-    mount: tuple[float, float, float] | None, stamp: int, frames: Frames = FRAMES, *, with_map: bool = True
-) -> TFMessage:
+def static_transforms(mount: Triple | None, stamp: int, frames: Frames = FRAMES, *, with_map: bool = True) -> TFMessage:
     """Return the transforms that do not change: `map` → `odom`, the identity, and `base_link` → `laser`.
 
     Args:
@@ -110,9 +108,7 @@ def static_transforms(
     return message
 
 
-def _transform(
-    parent: str, child: str, place: tuple[float, float, float], stamp: int, heading: float = 0.0
-) -> TransformStamped:
+def _transform(parent: str, child: str, place: Triple, stamp: int, heading: float = 0.0) -> TransformStamped:
     transform = TransformStamped(header=header(stamp, parent), child_frame_id=child)
     translation = transform.transform.translation
     translation.x, translation.y, translation.z = place
@@ -164,7 +160,7 @@ def acceleration_command(command: Command, stamp: int) -> AccelStamped:
     return message
 
 
-def velocity_command(velocity: tuple[float, float], stamp: int) -> TwistStamped:
+def velocity_command(velocity: Pair, stamp: int) -> TwistStamped:
     """Return the adversary's command for the tick with this stamp (ns): (East, North), m/s."""
     message = TwistStamped(header=header(stamp, MAP_FRAME))
     message.twist.linear.x = float(velocity[0])

@@ -16,7 +16,7 @@ from pydantic import ConfigDict
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, limits
 from skd_sim.scenario.road import is_straight_north, right_and_along, road_position
-from skd_sim.world.state import FloatArray, Trajectory
+from skd_sim.world.state import FloatArray, Pair, Trajectory
 
 _Bound = Annotated[float, limits(-500.0, 500.0, "m")] | None
 NOWHERE = (math.inf, -math.inf, math.inf, -math.inf)
@@ -88,7 +88,7 @@ class Ending(Frozen):
     def _straight(self) -> bool:  # computed once: it is needed in every tick
         return bool(is_straight_north(self.line))
 
-    def place(self, x: float, y: float) -> tuple[float, float]:
+    def place(self, x: float, y: float) -> Pair:
         """Return how far to the right of the centre line a position (m) is, and where along it, m."""
         if self._straight:
             return x, y

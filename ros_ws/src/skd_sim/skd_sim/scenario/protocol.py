@@ -12,7 +12,6 @@ trajectories, GVT_CCFhol_50 and GVT_CCFhol_70). Here a fifth of the path is stra
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -24,8 +23,6 @@ from skd_sim.world.state import FloatArray, Trajectory
 _ALONG = math.sin(math.radians(45.0))  # of who moves so or more along the lane, the place is across, not in time
 _LOOK, _HALVINGS = 0.02, 60  # s between two looks at where the car's front is, and how often that is halved
 _STRAIGHT = 0.2  # share of a lane change that is straight
-Covered = Callable[[FloatArray], FloatArray]
-"""Times since the start (s) → how far the target has got along its path by then, m."""
 
 
 def regulatory_trajectories(scenario: Scenario) -> list[Trajectory]:
@@ -94,7 +91,7 @@ def _trajectory(scenario: Scenario, protocol: Protocol, place: float) -> Traject
         return _ended(scenario, _changing_lanes(scenario, protocol, offset, float(direction[1]), times), place)
     if along:
         start[1] = _first_place_along(scenario, protocol, float(direction[1]))
-        covered = _from_moving(protocol)(times)
+        covered = _covered(protocol, times)
     else:
         meeting, front = _front_reaches(scenario, start, direction)
         path = float(direction @ (front - start)) + offset * math.copysign(1.0, direction[0])
@@ -153,18 +150,14 @@ def _changing_lanes(
     return np.column_stack([x, y])
 
 
-def _from_moving(protocol: Protocol) -> Covered:
-    """Return the path of one that comes at its speed, and may brake."""
-
-    def covered(times: FloatArray) -> FloatArray:
-        if protocol.brake_after is None:
-            return protocol.speed * times
-        stopping = protocol.speed / protocol.deceleration
-        braked = np.clip(times - protocol.brake_after, 0.0, stopping)
-        steady = np.minimum(times, protocol.brake_after)
-        return np.asarray(protocol.speed * (steady + braked) - 0.5 * protocol.deceleration * braked**2)
-
-    return covered
+def _covered(protocol: Protocol, times: FloatArray) -> FloatArray:
+    """Return how far one that comes at its speed, and may brake, has got at some times (s), m."""
+    if protocol.brake_after is None:
+        return protocol.speed * times
+    stopping = protocol.speed / protocol.deceleration
+    braked = np.clip(times - protocol.brake_after, 0.0, stopping)
+    steady = np.minimum(times, protocol.brake_after)
+    return np.asarray(protocol.speed * (steady + braked) - 0.5 * protocol.deceleration * braked**2)
 
 
 def _front_reaches(scenario: Scenario, start: FloatArray, direction: FloatArray) -> tuple[float, FloatArray]:

@@ -19,7 +19,8 @@ import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OneOf, limits
 from skd_sim.kernels.compilation import kernel
-from skd_sim.world.state import FloatArray
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.state import FloatArray, Pair, Triple
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
 _JOINT = 1e-9  # m that a point may lie beyond a part, by rounding, and still belong to it
@@ -135,7 +136,7 @@ class Road(Frozen):
         return sum(lane.width or self.lane_width for lane in self.lanes if lane.beside and side * lane.number > 0)
 
     @cached_property
-    def edges(self) -> tuple[float, float]:
+    def edges(self) -> Pair:
         """How far the road reaches to the left and to the right of the middle of the car's lane, m."""
         return 0.5 * self.lane_width + self._beside(-1), 0.5 * self.lane_width + self._beside(1)
 
@@ -172,7 +173,7 @@ class Road(Frozen):
         between = sum(self.width(one) for one in range(side, number, side))
         return side * (0.5 * self.lane_width + between + 0.5 * self.width(number))
 
-    def place(self, number: int, along: float, aside: float = 0.0) -> tuple[float, float, float]:
+    def place(self, number: int, along: float, aside: float = 0.0) -> Triple:
         """Return a place on a lane: x, y (m), and the heading in which it is driven there (rad).
 
         Args:
@@ -220,7 +221,7 @@ class Road(Frozen):
         return found
 
 
-def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:
+def centre_line(parts: list[Pair], origin: float) -> FloatArray:
     """Return the line of parts whose crossing point lies `origin` (m, ≥ 0) behind their beginning.
 
     Args:
@@ -243,7 +244,7 @@ def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:
 
 
 @kernel
-def advanced(x: float, y: float, heading: float, curvature: float, distance: float) -> tuple[float, float, float]:
+def advanced(x: float, y: float, heading: float, curvature: float, distance: float) -> Triple:
     """Return the pose (m, m, rad) after `distance` (m, negative: before) along a line or a circle.
 
     The chord of an arc of length d and curvature k is 2 sin(kd/2)/k long and lies at half of the turn.
@@ -286,7 +287,7 @@ def road_curvature(line: FloatArray, s: float) -> float:
 
 
 @kernel
-def road_pose(line: FloatArray, s: float) -> tuple[float, float, float]:
+def road_pose(line: FloatArray, s: float) -> Triple:
     """Return x, y (m) and heading (rad, not wrapped) of the centre line at path coordinate s (m)."""
     if is_straight_north(line):
         return 0.0, s, HEADING_NORTH
@@ -302,24 +303,14 @@ def road_pose(line: FloatArray, s: float) -> tuple[float, float, float]:
 
 
 @kernel
-def _straight_foot(x0: float, y0: float, heading: float, x: float, y: float) -> tuple[float, float]:
-    """Return how far along and to the left of a straight line through (x0, y0) a point is, m."""
-    cos, sin = math.cos(heading), math.sin(heading)
-    dx, dy = x - x0, y - y0
-    return cos * dx + sin * dy, cos * dy - sin * dx
-
-
-@kernel
-def _arc_foot(
-    x0: float, y0: float, heading: float, curvature: float, length: float, x: float, y: float
-) -> tuple[float, float]:
+def _arc_foot(x0: float, y0: float, heading: float, curvature: float, length: float, x: float, y: float) -> Pair:
     """Return how far along a circle (m) its point nearest to (x, y) is, and the offset to the left (m).
 
     Counted from half a circle before the middle of the arc on: a point of an arc of at most half a circle, or one that
     faces it, gets its own place, any other a place before or beyond the arc.
     """
     radius, side = 1.0 / abs(curvature), math.copysign(1.0, curvature)
-    ahead, left = _straight_foot(x0, y0, heading, x, y)
+    ahead, left = to_car_frame(x, y, x0, y0, heading)
     # From the centre, in a frame in which the arc begins at angle 0 and turns counter-clockwise.
     out, on = radius - side * left, ahead
     middle = 0.5 * abs(curvature) * length
@@ -330,7 +321,7 @@ def _arc_foot(
 
 
 @kernel
-def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
+def road_position(line: FloatArray, x: float, y: float) -> Pair:
     """Return the path coordinate (m) of the centre line's point nearest to (x, y) (m), and the offset to its left (m).
 
     Where two points are equally near, the earlier one counts.
@@ -351,7 +342,7 @@ def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
             x0, y0, heading = advanced(x0, y0, heading, curvature, high)
             begin, curvature, high = begin + high, 0.0, math.inf
         if curvature == 0.0:
-            along, left = _straight_foot(x0, y0, heading, x, y)
+            along, left = to_car_frame(x, y, x0, y0, heading)
         else:
             along, left = _arc_foot(x0, y0, heading, curvature, high, x, y)
         if low - _JOINT <= along <= high + _JOINT and abs(left) < abs(offset):
@@ -360,9 +351,7 @@ def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
 
 
 @kernel
-def beyond(
-    line: FloatArray, edges: tuple[float, float], footprint: tuple[float, float, float], path: FloatArray
-) -> int:
+def beyond(line: FloatArray, edges: Pair, footprint: Triple, path: FloatArray) -> int:
     """Return the first row of a path in which a corner of the car is beyond an edge; −1: in none.
 
     Args:

@@ -17,7 +17,7 @@ import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OnLane, limits
 from skd_sim.options.registry import Registry
-from skd_sim.world.state import FloatArray, RoadUserState, on_grid, velocity_on_grid
+from skd_sim.world.state import FloatArray, Pair, RoadUserState, Triple, on_grid, velocity_on_grid
 
 HEIGHT = 1.8
 """How high a road user is drawn, m; nothing but pictures and boxes in messages depends on it."""
@@ -71,7 +71,7 @@ class Body(Frozen):
         return self.radius if self.radius is not None else 0.5 * min(self.length or 0.0, self.width or 0.0)
 
     @property
-    def shape(self) -> tuple[float, float, float]:
+    def shape(self) -> Triple:
         """Radius, half length, half width (m), as `world.contact` takes them; of a disc the last two are 0."""
         if self.radius is not None:
             return self.radius, 0.0, 0.0
@@ -145,7 +145,7 @@ class RoadUser(Body, OnLane):
             )
 
     @property
-    def first_velocity(self) -> tuple[float, float]:
+    def first_velocity(self) -> Pair:
         """Velocity (East, North) that it has when an episode begins, m/s."""
         if not self.start_speed:
             return 0.0, 0.0

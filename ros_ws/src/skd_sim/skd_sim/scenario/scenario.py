@@ -24,7 +24,7 @@ from skd_sim.scenario.road import HEADING_NORTH, ONCOMING, Road, right_and_along
 from skd_sim.scenario.road_user import CAR, Other, RoadUser
 from skd_sim.scenario.scenario_file import scenario_data
 from skd_sim.world.contact import clearance, rectangle_distance, runs_into, sweep, to_car_frame
-from skd_sim.world.state import AdversaryState, FloatArray, RoadUserState, Trajectory, braking_distance
+from skd_sim.world.state import AdversaryState, FloatArray, Pair, RoadUserState, Trajectory, Triple, braking_distance
 
 CONTROL_PERIODS = (0.001, 2.0)
 """Least and greatest time between two decisions of a car, s."""
@@ -65,7 +65,7 @@ class Car(Frozen):
         return 0.5 * self.width
 
     @property
-    def footprint(self) -> tuple[float, float, float]:
+    def footprint(self) -> Triple:
         """How far it reaches ahead of its reference point, behind it and to each side, m."""
         return self.front, self.rear, self.half_width
 
@@ -292,7 +292,7 @@ class Scenario(Frozen):
         """Return whether one of the others drives along an oncoming lane."""
         return not other.stands and self._on_oncoming_lane([(point.x, point.y) for point in other.way])
 
-    def _on_oncoming_lane(self, places: list[tuple[float, float]]) -> bool:
+    def _on_oncoming_lane(self, places: list[Pair]) -> bool:
         across = right_and_along(self.road.line, np.array(places))[:, 0]
         lanes = [(self.road.offset(number), 0.5 * self.road.width(number)) for number in self.oncoming_lanes]
         return any(bool((np.abs(across - middle) < half).all()) for middle, half in lanes)
@@ -328,7 +328,7 @@ def _given(data: dict[str, Any]) -> dict[str, Any]:
     return given
 
 
-Shape = tuple[float, float, float]
+Shape = Triple
 
 _FURTHEST = 400.0  # m from the crossing line, which a car on an oncoming lane reaches
 _OBSTACLE_SPACING = 0.1  # m between the places of an obstacle that are held against the car's path
@@ -440,9 +440,7 @@ def _overlap(one: RoadUserState, shape: Shape, other: RoadUserState, other_shape
     return _touches((one.x, one.y, one.heading), (shape[1], shape[1], shape[2]), other, other_shape)
 
 
-def _touches(
-    pose: tuple[float, float, float], footprint: tuple[float, float, float], body: RoadUserState, shape: Shape
-) -> bool:
+def _touches(pose: Triple, footprint: Triple, body: RoadUserState, shape: Shape) -> bool:
     """Return whether a rectangle (front, rear and half width from its pose, m) and a body are in the same place."""
     stands = np.array([(*pose, 0.0), (*pose, 0.0)])
     place = (body.x, body.y)
@@ -456,7 +454,7 @@ def _inside_car(scenario: Scenario, body: RoadUserState, shape: Shape) -> bool:
     return any(_touches(pose, car.footprint, body, shape) for pose in _start_poses(scenario, car.start_gap))
 
 
-def _start_poses(scenario: Scenario, gap: float) -> Iterator[tuple[float, float, float]]:
+def _start_poses(scenario: Scenario, gap: float) -> Iterator[Triple]:
     """Yield poses (m, rad) all over the car's start range, whose least gap to the crossing line is `gap`, m."""
     car, nearest = scenario.car, -gap - scenario.car.front
     for place in np.linspace(nearest - car.start_gap_range, nearest, 2 + int(car.start_gap_range / _START_SPACING)):

@@ -25,7 +25,7 @@ from skd_sim.options.registry import reason_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, CommandLimits, as_pair
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Scene
+from skd_sim.world.state import AdversaryState, CarState, Pair, RoadUserState, Scene
 from skd_sim.world.world import Contact, World, first_contact_of, make_world, road_left
 
 
@@ -52,7 +52,7 @@ class Frame(NamedTuple):
         """Return car and road users; where the others of the scenario are depends on the time alone."""
         return Scene(self.car, self.adversary, scenario.others_at(self.tick, self.period))
 
-    def impact(self, time_step: float) -> tuple[float, float]:
+    def impact(self, time_step: float) -> Pair:
         """Return time since the start (s) and the car's speed (m/s) at the contact; nan where there is none."""
         if self.contact is None:
             return math.nan, math.nan
@@ -82,7 +82,7 @@ class Simulator(Protocol):
             SimulatorError: it fails.
         """
 
-    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: Pair) -> Frame:
         """Hold both commands for one control period (`Scenario.control_periods` of a tick), and return its end.
 
         A contact is looked for along all of it, and ends the tick, where the adversary's velocity takes it.
@@ -123,7 +123,7 @@ class WorldSimulator:
         self._world = make_world(episode)
         return Frame(0, self._world.car, self._world.adversary)
 
-    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: Pair) -> Frame:
         """Advance the world by one control period."""
         world = self._world
         contact = world.step(command, velocity)
@@ -144,7 +144,6 @@ class WorldSimulator:
 
 
 _Result = TypeVar("_Result")
-_Point = tuple[float, float]
 
 DISOBEYED: Final = 0.05
 """m in a tick by which the adversary may be elsewhere than the velocities of this tick and the last one take it."""
@@ -197,7 +196,7 @@ class NamedSimulator:
             )
         return frame
 
-    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: Pair) -> Frame:
         """Advance the simulator by one control period; see `Simulator.step`.
 
         Raises:
@@ -255,7 +254,7 @@ class NamedSimulator:
             self._fail(f"{method} must not end an episode between two ticks, as {frame.outcome.name} does")
         return frame
 
-    def _check_place(self, place: _Point, tick: int) -> None:
+    def _check_place(self, place: Pair, tick: int) -> None:
         """Refuse an adversary that is not where its commands take it, at once or by up to a tick later."""
         step, before, command = self._step, self._before, self._command
         moved = (place[0] - self._place[0], place[1] - self._place[1])
@@ -289,7 +288,7 @@ def _moment(tick: int, period: int, periods: int) -> str:
     return f"tick {tick}" if periods == 1 and period == 0 else f"tick {tick}, control period {period}"
 
 
-def _from_segment(place: _Point, begin: _Point, end: _Point) -> float:
+def _from_segment(place: Pair, begin: Pair, end: Pair) -> float:
     """Return the distance of a place from the line between two others, m."""
     dx, dy = end[0] - begin[0], end[1] - begin[1]
     length = dx * dx + dy * dy
@@ -351,7 +350,7 @@ class FrameSource(Protocol):
     def place(self, car: CarState, adversary: AdversaryState) -> States:
         """Put car and adversary at the start, and return their states as they really are then."""
 
-    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
+    def control(self, acceleration: float, steering: float, velocity: Pair) -> None:
         """Command car and adversary from the next frame on.
 
         Args:
@@ -406,7 +405,7 @@ class FramedSimulator:
         self._origin = self._now.adversary
         return self._now
 
-    def step(self, command: Command, velocity: tuple[float, float]) -> Frame:
+    def step(self, command: Command, velocity: Pair) -> Frame:
         """Watch the frames of one control period.
 
         A tick ends early at a contact: what the simulator does to an adversary that has been hit is no part of its

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 
 from skd_sim.kernels.compilation import kernel
-from skd_sim.world.state import FloatArray
+from skd_sim.world.state import FloatArray, Pair, Triple
 
 NO_CONTACT = math.inf
 
 
 @kernel
-def to_car_frame(x: float, y: float, car_x: float, car_y: float, heading: float) -> tuple[float, float]:
+def to_car_frame(x: float, y: float, car_x: float, car_y: float, heading: float) -> Pair:
     """Return a world point (m) in the car's frame: (ahead of, left of) its reference point."""
     cos, sin = math.cos(heading), math.sin(heading)
     dx, dy = x - car_x, y - car_y
@@ -41,7 +41,7 @@ def rectangle_distance(ahead: float, left: float, front: float, rear: float, hal
 
 
 @kernel
-def _slab(start: float, delta: float, low: float, high: float) -> tuple[float, float]:
+def slab(start: float, delta: float, low: float, high: float) -> Pair:
     """Return the interval of s for which low ≤ start + s·delta ≤ high (empty: first > second)."""
     if delta == 0.0:
         if low <= start <= high:
@@ -54,8 +54,8 @@ def _slab(start: float, delta: float, low: float, high: float) -> tuple[float, f
 @kernel
 def _enter_box(a0: float, l0: float, da: float, dl: float, a_lo: float, a_hi: float, l_hi: float) -> float:
     """Return the first s in [0, 1] at which the segment is in the box, else infinity."""
-    a_in, a_out = _slab(a0, da, a_lo, a_hi)
-    l_in, l_out = _slab(l0, dl, -l_hi, l_hi)
+    a_in, a_out = slab(a0, da, a_lo, a_hi)
+    l_in, l_out = slab(l0, dl, -l_hi, l_hi)
     enter, leave = max(a_in, l_in, 0.0), min(a_out, l_out, 1.0)
     return enter if enter <= leave else math.inf
 
@@ -77,31 +77,21 @@ def _enter_disc(a0: float, l0: float, da: float, dl: float, ca: float, cl: float
 
 
 @kernel
-def first_contact(
-    ahead: float,
-    left: float,
-    ahead_after: float,
-    left_after: float,
-    front: float,
-    rear: float,
-    half_width: float,
-    radius: float,
-) -> float:
+def first_contact(before: Pair, after: Pair, footprint: Triple, radius: float) -> float:
     """Return the fraction in [0, 1] of the step at which the disc first touches the rectangle, else infinity.
 
     The rectangle grown by the disc is two boxes and four corner discs; the earliest entry into any is the contact.
 
     Args:
-        ahead: how far the disc's centre is ahead of the car's reference point when the step begins, m.
-        left: how far the disc's centre is to the left of the car's axis when the step begins, m.
-        ahead_after: how far the disc's centre is ahead when the step ends, m.
-        left_after: how far the disc's centre is to the left when the step ends, m.
-        front: footprint ahead of the reference point, m.
-        rear: footprint behind the reference point, m.
-        half_width: footprint to each side, m.
+        before: how far the disc's centre is ahead of the car's reference point, and to the left of its axis, when the
+            step begins, m.
+        after: the same when the step ends, m.
+        footprint: footprint of the car: front, rear and half width, m.
         radius: radius of the disc, m.
     """
-    da, dl = ahead_after - ahead, left_after - left
+    ahead, left = before
+    front, rear, half_width = footprint
+    da, dl = after[0] - ahead, after[1] - left
     first = min(
         _enter_box(ahead, left, da, dl, -rear - radius, front + radius, half_width),
         _enter_box(ahead, left, da, dl, -rear, front, half_width + radius),
@@ -113,36 +103,24 @@ def first_contact(
 
 
 @kernel
-def first_contact_of_boxes(
-    ahead: float,
-    left: float,
-    ahead_after: float,
-    left_after: float,
-    turned: float,
-    front: float,
-    rear: float,
-    half_width: float,
-    other_half_length: float,
-    other_half_width: float,
-) -> float:
+def first_contact_of_boxes(before: Pair, after: Pair, turned: float, footprint: Triple, other: Pair) -> float:
     """Return the fraction in [0, 1] of the step at which another box first touches the rectangle, else infinity.
 
     By separating axes: two rectangles touch where their shadows on all four edges' directions overlap, and in uniform
     motion each two shadows overlap for one interval of time.
 
     Args:
-        ahead: how far the other box's centre is ahead of the car's reference point when the step begins, m.
-        left: how far the other box's centre is to the left of the car's axis when the step begins, m.
-        ahead_after: how far the other box's centre is ahead when the step ends, m.
-        left_after: how far the other box's centre is to the left when the step ends, m.
+        before: how far the other box's centre is ahead of the car's reference point, and to the left of its axis, when
+            the step begins, m.
+        after: the same when the step ends, m.
         turned: heading of the other box from the car's, rad.
-        front: footprint ahead of the reference point, m.
-        rear: footprint behind the reference point, m.
-        half_width: footprint to each side, m.
-        other_half_length: half length of the other box, m.
-        other_half_width: half width of the other box, m.
+        footprint: footprint of the car: front, rear and half width, m.
+        other: half length and half width of the other box, m.
     """
-    da, dl = ahead_after - ahead, left_after - left
+    ahead, left = before
+    front, rear, half_width = footprint
+    other_half_length, other_half_width = other
+    da, dl = after[0] - ahead, after[1] - left
     cos, sin = math.cos(turned), math.sin(turned)
     half_length, middle = 0.5 * (front + rear), 0.5 * (front - rear)
     a, reach_a = ahead - middle, abs(cos) * other_half_length + abs(sin) * other_half_width
@@ -156,24 +134,32 @@ def first_contact_of_boxes(
         (cos * a + sin * left, cos * da + sin * dl, own_length),
         (cos * left - sin * a, cos * dl - sin * da, own_width),
     ):
-        first, last = _slab(start, delta, -apart, apart)
+        first, last = slab(start, delta, -apart, apart)
         enter, leave = max(enter, first), min(leave, last)
     return enter if enter <= leave else math.inf
 
 
 @kernel
+def first_touch(before: Pair, after: Pair, turned: float, footprint: Triple, shape: Triple) -> float:
+    """Return `first_contact` or `first_contact_of_boxes`, of a shape as `sweep` takes it."""
+    if shape[0] > 0.0:
+        return first_contact(before, after, footprint, shape[0])
+    return first_contact_of_boxes(before, after, turned, footprint, (shape[1], shape[2]))
+
+
+@kernel
 def sweep(
     path: FloatArray,
-    place: tuple[float, float],
-    end: tuple[float, float],
-    velocity: tuple[float, float],
+    place: Pair,
+    end: Pair,
+    velocity: Pair,
     heading: float,
-    footprint: tuple[float, float, float],
-    shape: tuple[float, float, float],
+    footprint: Triple,
+    shape: Triple,
     time_step: float,
     period: int,
     periods: int,
-) -> tuple[float, float]:
+) -> Pair:
     """Move the adversary uniformly beside the car's path in one control period of a step.
 
     Args:
@@ -191,8 +177,6 @@ def sweep(
     Returns:
         Fraction of the step at the first contact or infinity, and the car's speed there, m/s.
     """
-    front, rear, half_width = footprint
-    radius, other_half_length, other_half_width = shape
     parts = path.shape[0] - 1
     whole = periods * parts
     x, y = place
@@ -206,24 +190,9 @@ def sweep(
         x_after = end[0] if last else place[0] + passed * velocity[0]
         y_after = end[1] if last else place[1] + passed * velocity[1]
         before, after = path[part], path[part + 1]
-        ahead, left = to_car_frame(x, y, before[0], before[1], before[2])
-        ahead_after, left_after = to_car_frame(x_after, y_after, after[0], after[1], after[2])
-        if radius > 0.0:
-            contact = first_contact(ahead, left, ahead_after, left_after, front, rear, half_width, radius)
-        else:
-            turned = heading - before[2]
-            contact = first_contact_of_boxes(
-                ahead,
-                left,
-                ahead_after,
-                left_after,
-                turned,
-                front,
-                rear,
-                half_width,
-                other_half_length,
-                other_half_width,
-            )
+        seen = to_car_frame(x, y, before[0], before[1], before[2])
+        seen_after = to_car_frame(x_after, y_after, after[0], after[1], after[2])
+        contact = first_touch(seen, seen_after, heading - before[2], footprint, shape)
         if contact <= 1.0:
             return (index - 1 + contact) / whole, before[3] + contact * (after[3] - before[3])
         x, y = x_after, y_after
@@ -243,9 +212,9 @@ def runs_into(rectangles: FloatArray, x: float, y: float, x_after: float, y_afte
         radius: radius of the disc, m.
     """
     for row in rectangles:
-        ahead, left = to_car_frame(x, y, row[0], row[1], row[2])
-        ahead_after, left_after = to_car_frame(x_after, y_after, row[0], row[1], row[2])
-        if first_contact(ahead, left, ahead_after, left_after, row[3], row[3], row[4], radius) <= 1.0:
+        seen = to_car_frame(x, y, row[0], row[1], row[2])
+        seen_after = to_car_frame(x_after, y_after, row[0], row[1], row[2])
+        if first_contact(seen, seen_after, (row[3], row[3], row[4]), radius) <= 1.0:
             return True
     return False
 

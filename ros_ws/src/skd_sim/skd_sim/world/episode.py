@@ -20,7 +20,7 @@ from skd_sim.options.adversary import check_adversary_model
 from skd_sim.options.options import EpisodeOptions
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import AdversaryState, FloatArray, Trajectory
+from skd_sim.world.state import AdversaryState, FloatArray, Pair, Trajectory
 from skd_sim.world.timing import UNTIMED, Timing
 
 
@@ -120,7 +120,7 @@ class EpisodeSpec(EpisodeOptions):
         return self.scenario if self.public is None else self.public
 
     @property
-    def start(self) -> tuple[float, float]:
+    def start(self) -> Pair:
         """Where the adversary starts, (x, y) in m: the first point of φ, else the scenario's start."""
         if self.safe_trajectory is None:
             return self.scenario.adversary.start_x, self.scenario.adversary.start_y

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.contact import NO_CONTACT, to_car_frame
+from skd_sim.world.contact import NO_CONTACT, slab, to_car_frame
 from skd_sim.world.episode import EpisodeSpec, Role, generator
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Triple
 
 FloatRanges = NDArray[np.float32]
 
@@ -60,7 +60,7 @@ class Inertia(NamedTuple):
 
     heading: float
     yaw_rate: float
-    acceleration: tuple[float, float, float]
+    acceleration: Triple
 
 
 class InertialUnit:
@@ -131,20 +131,15 @@ def rectangle_range(
     """
     ahead, left = to_car_frame(0.0, 0.0, x, y, heading)
     along, across = to_car_frame(cos, sin, 0.0, 0.0, heading)
-    enter, leave = 0.0, NO_CONTACT
-    for start, delta, half in ((ahead, along, half_length), (left, across, half_width)):
-        if delta == 0.0:
-            if abs(start) > half:
-                return NO_CONTACT
-        else:
-            first, second = (-half - start) / delta, (half - start) / delta
-            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+    ahead_in, ahead_out = slab(ahead, along, -half_length, half_length)
+    left_in, left_out = slab(left, across, -half_width, half_width)
+    enter, leave = max(0.0, ahead_in, left_in), min(ahead_out, left_out)
     return enter if enter <= leave else NO_CONTACT
 
 
 @kernel
 def cast_beams(
-    origin: tuple[float, float, float],
+    origin: Triple,
     fan: tuple[float, float, int],
     discs: NDArray[np.float64],
     rectangles: NDArray[np.float64],

@@ -24,7 +24,9 @@ from skd_sim.kernels.compilation import kernel
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
-"""Arrays under the names that all packages use."""
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+"""Arrays, and numbers of a point or a shape, under the names that all packages use."""
 
 
 class CarState(NamedTuple):

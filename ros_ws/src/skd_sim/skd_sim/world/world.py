@@ -13,7 +13,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import CarDynamics, Command, Noise, as_pair, command_limits, make_dynamics
 from skd_sim.world.episode import EpisodeSpec, Role, generator
-from skd_sim.world.state import AdversaryState, CarState, FloatArray, on_grid, velocity_on_grid
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, Pair, on_grid, velocity_on_grid
 
 
 class Contact(NamedTuple):
@@ -42,7 +42,7 @@ class World:
         self,
         scenario: Scenario,
         *,
-        adversary_start: tuple[float, float] | None = None,
+        adversary_start: Pair | None = None,
         gap: float | None = None,
         start_rng: np.random.Generator,
         car_rng: np.random.Generator,
@@ -80,7 +80,7 @@ class World:
         """Simulated time since the start, s."""
         return (self.tick + self.period / self.scenario.control_periods) * self.scenario.time_step
 
-    def step(self, command: Command, velocity: tuple[float, float]) -> Contact | None:
+    def step(self, command: Command, velocity: Pair) -> Contact | None:
         """Advance by one control period, which may be the whole time step; return the collision in it, if any.
 
         A tick in which there is one runs to its end under the same command: nothing is decided after the contact.
@@ -105,7 +105,7 @@ class World:
             self._origin = self.adversary
         return contact
 
-    def _advance(self, command: tuple[float, float]) -> FloatArray:
+    def _advance(self, command: Pair) -> FloatArray:
         if self.period == 0:
             self._noise = self._dynamics.draw(self._rng)
         periods = self.scenario.control_periods
@@ -114,7 +114,7 @@ class World:
         self.car = CarState(*path[-1].tolist())
         return path
 
-    def _meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[AdversaryState, Contact | None]:
+    def _meet(self, path: FloatArray, velocity: Pair) -> tuple[AdversaryState, Contact | None]:
         """Return where the adversary is after a period beside the car's path, and the collision in it; change nothing.
 
         Args:
@@ -161,7 +161,7 @@ def first_car_state(scenario: Scenario, gap: float, start_rng: np.random.Generat
     return CarState(x, y, float(on_grid(heading)), car.start_speed)
 
 
-Move = tuple[tuple[float, float], tuple[float, float], tuple[float, float], float]
+Move = tuple[Pair, Pair, Pair, float]
 """Places (x, y) of a road user when a step begins and ends, m, its velocity, m/s, and its heading, rad."""
 
 

@@ -227,6 +227,7 @@ def search_within(c: ExactProblem, f: Reachability, q: Nodes, limit: float, cell
     steps = np.empty((MOVE_COUNT, 2))
     names = np.empty(MOVE_COUNT, np.int64)
     side_apart = SURE * c.path_edge
+    footprint = (c.front, c.rear, c.half_width)
     front_apart, rear_apart = SURE * (c.front + c.radius), SURE * (c.rear + c.radius)
     while begin < end and tick < ticks:
         q.size[1] += 1
@@ -268,7 +269,7 @@ def search_within(c: ExactProblem, f: Reachability, q: Nodes, limit: float, cell
                     or min(ahead, ahead_to) > front_apart
                     or max(ahead, ahead_to) < -rear_apart
                 ):
-                    fraction = first_contact(ahead, left, ahead_to, left_to, c.front, c.rear, c.half_width, c.radius)
+                    fraction = first_contact((ahead, left), (ahead_to, left_to), footprint, c.radius)
                     if fraction <= 1.0:
                         impact = speed + fraction * (speed_after - speed)
                         if impact >= c.hit_speed:

@@ -58,9 +58,9 @@ class MetaDriveSimulator(FramedSimulator):
 
     def described(self, scenario: Scenario) -> Mapping[str, Any]:
         """Return, as plain data, what MetaDrive makes of a scenario's car: what its pedals do, as measured."""
-        from skd_sim.simulators.metadrive.stage import StageSpec, pedals_of, stage_for, step_of
+        from skd_sim.simulators.metadrive.stage import StageSpec, pedals_of, stage_for
 
-        stage = stage_for(scenario, step_of(scenario))
+        stage = stage_for(scenario)
         vehicle = StageSpec.of(scenario).vehicle
         return {
             "version": VERSION,

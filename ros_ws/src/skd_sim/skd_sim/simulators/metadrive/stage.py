@@ -28,7 +28,7 @@ from skd_sim.simulators.metadrive.vehicle import FULL_LOCK, Cast, Placed, Vehicl
 from skd_sim.simulators.simulator import SimulatorError, States
 from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import AbortKind
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid, velocity_on_grid
+from skd_sim.world.state import AdversaryState, CarState, Pair, RoadUserState, Triple, on_grid, velocity_on_grid
 
 PHYSICS_STEP: Final = 0.02
 """MetaDrive's own step of the physics, s; the longest that is taken."""
@@ -73,11 +73,8 @@ class StageSpec:
 def _same_direction(road: Road) -> list[int]:
     """Return the numbers of the lanes beside the car's that are driven its way, as far as nothing is between."""
     numbers = {lane.number for lane in road.lanes if lane.beside and lane.direction == SAME}
-    return [number for number in numbers if all(one in numbers for one in _between(number))]
-
-
-def _between(number: int) -> range:
-    return range(1, number) if number > 0 else range(number + 1, 0)
+    between = {number: range(1, number) if number > 0 else range(number + 1, 0) for number in numbers}
+    return [number for number in numbers if numbers.issuperset(between[number])]
 
 
 @dataclass(frozen=True)
@@ -153,19 +150,12 @@ class MetaDriveStage:
         decided: what a driver within MetaDrive has decided, until it is done.
     """
 
-    def __init__(self, spec: StageSpec, env: Any = None) -> None:
-        """Start the engine, or take one that has been reset.
-
-        Args:
-            spec: on what it depends.
-            env: an environment of MetaDrive with `environment_config`; by default a new one.
-        """
+    def __init__(self, spec: StageSpec) -> None:
+        """Start the engine."""
         self.spec, self.owner, self.step = spec, os.getpid(), PHYSICS_STEP
-        if env is None:
-            env = _Env(environment_config(spec))
-            with without_assets():
-                env.reset(seed=0)
-        self.env = env
+        self.env = env = _Env(environment_config(spec))
+        with without_assets():
+            env.reset(seed=0)
         self.engine: Any = env.engine
         lane = env.current_map.road_network.get_lane((">>", ">>>", spec.left))
         self.across = float(lane.position(0.0, 0.0)[1])
@@ -178,10 +168,6 @@ class MetaDriveStage:
     def car(self) -> Any:
         """MetaDrive's vehicle."""
         return self.env.agent
-
-    def close(self) -> None:
-        """End the engine."""
-        close_engine()
 
     def cast_for(self, scenario: Scenario) -> Cast:
         """Return the bodies of a scenario, made if these are another's."""
@@ -228,7 +214,7 @@ class MetaDriveStage:
         self.engine.step_physics_world()
 
     @property
-    def pose(self) -> tuple[float, float, float]:
+    def pose(self) -> Triple:
         """Where the centre of the car's body is now (x, y; m), and its heading, rad.
 
         Bullet tells where bodies were a step of the physics ago (`btDiscreteDynamicsWorld` interpolates with latency).
@@ -302,8 +288,8 @@ def running() -> MetaDriveStage | None:
     return stage if stage is not None and stage.owner == os.getpid() else None
 
 
-def stage_for(scenario: Scenario, step: float) -> MetaDriveStage:
-    """Return the stage of this process, for a scenario and a step of the physics (s); started if need be.
+def stage_for(scenario: Scenario) -> MetaDriveStage:
+    """Return the stage of this process, for a scenario and its step of the physics; started if need be.
 
     Raises:
         UsageError: this process is a fork of one that has an engine.
@@ -317,17 +303,17 @@ def stage_for(scenario: Scenario, step: float) -> MetaDriveStage:
     if stage is None or stage.spec != spec:
         if stage is not None:
             _Running.stage = None
-            stage.close()
+            close_engine()
         _Running.stage = stage = MetaDriveStage(spec)
-    stage.step = step
+    stage.step = step_of(scenario)
     return stage
 
 
 def end() -> None:
     """End the engine of this process, if it has one."""
-    if (stage := running()) is not None:
+    if running() is not None:
         _Running.stage = None
-        stage.close()
+        close_engine()
 
 
 def step_of(scenario: Scenario) -> float:
@@ -363,7 +349,7 @@ class MetaDriveFrames:
         Raises:
             UsageError: MetaDrive cannot run in this process.
         """
-        self._stage: MetaDriveStage = stage_for(scenario, step_of(scenario))
+        self._stage: MetaDriveStage = stage_for(scenario)
         self._pedals = pedals_of(self._stage, scenario)
         self.frame_step: float = self._stage.step
         self.limits: CommandLimits = self._pedals.limits
@@ -391,7 +377,7 @@ class MetaDriveFrames:
         self.position_error = 0.0
         return self._states()
 
-    def control(self, acceleration: float, steering: float, velocity: tuple[float, float]) -> None:
+    def control(self, acceleration: float, steering: float, velocity: Pair) -> None:
         """Press the pedal that stands for an acceleration, or do what a driver within MetaDrive has decided."""
         decided, self._stage.decided = self._stage.decided, None
         self._velocity, self._acceleration = velocity, acceleration

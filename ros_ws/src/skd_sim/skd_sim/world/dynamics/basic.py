@@ -23,7 +23,7 @@ from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.options.registry import load
 from skd_sim.scenario.road import advanced, is_straight_north, road_curvature, road_pose, road_position
 from skd_sim.scenario.scenario import Car, Scenario
-from skd_sim.world.state import CarState, FloatArray, draw_relative, next_speed, on_grid, travelled
+from skd_sim.world.state import CarState, FloatArray, Pair, draw_relative, next_speed, on_grid, travelled
 
 
 class Noise(NamedTuple):
@@ -38,7 +38,7 @@ class Noise(NamedTuple):
     acceleration: float
 
 
-Command = float | tuple[float, float]
+Command = float | Pair
 """An acceleration (m/s²), or one and a steering angle of the front wheels (rad, to the left); a float steers by 0."""
 
 
@@ -59,7 +59,7 @@ class CarDynamics(Protocol):
     def draw(self, rng: np.random.Generator) -> Noise:
         """Draw the noise of a tick; the same number of draws whatever the car does."""
 
-    def advance(self, command: tuple[float, float], duration: float, noise: Noise) -> FloatArray:
+    def advance(self, command: Pair, duration: float, noise: Noise) -> FloatArray:
         """Drive on under one command.
 
         Args:
@@ -98,7 +98,7 @@ SIDE_GRIP = 0.8 * GRAVITY
 _PIECE = 0.01  # s of a bend between two points of a path
 
 
-def wheels(car: Car) -> tuple[float, float]:
+def wheels(car: Car) -> Pair:
     """Return a car's wheelbase, and how far its rear axle is behind the reference point, m."""
     wheelbase = WHEELBASE * (car.front + car.rear)
     return wheelbase, 0.5 * (wheelbase - car.front + car.rear)
@@ -125,12 +125,12 @@ class CommandLimits(NamedTuple):
             raise ValueError(f"a command must be a finite number (m/s²), got {acceleration}")
         return min(self.greatest, max(self.least, acceleration))
 
-    def possible(self, command: tuple[float, float]) -> tuple[float, float]:
+    def possible(self, command: Pair) -> Pair:
         """Return acceleration and steering angle of a command within the limits; see `clip`."""
         return self.clip(command[0]), min(STEERING_LIMIT, max(-STEERING_LIMIT, command[1]))
 
 
-def as_pair(command: Command) -> tuple[float, float]:
+def as_pair(command: Command) -> Pair:
     """Return the acceleration and the steering angle of a command."""
     return (float(command[0]), float(command[1])) if isinstance(command, tuple) else (float(command), 0.0)
 
@@ -160,19 +160,14 @@ _SAGITTA = 1e-4  # m
 
 
 @kernel
-def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generator) -> tuple[float, float]:
+def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generator) -> Pair:
     speed_draw = draw_relative(speed_noise, rng)
     return speed_draw, draw_relative(acceleration_noise, rng)
 
 
 @kernel
 def drive(
-    car: tuple[float, float, float, float],
-    angle: float,
-    command: tuple[float, float],
-    noise: tuple[float, float],
-    duration: float,
-    axles: tuple[float, float],
+    car: tuple[float, float, float, float], angle: float, command: Pair, noise: Pair, duration: float, axles: Pair
 ) -> tuple[FloatArray, float]:
     """Return a car's path under one command, and its steering angle (rad) at the end; see `CarDynamics.advance`.
 
@@ -262,7 +257,7 @@ class BasicCar:
         """Draw both, so that a car that brakes and one that does not use up the same numbers."""
         return Noise(*_draw(*self._noise, stream_of(rng)))
 
-    def advance(self, command: tuple[float, float], duration: float, noise: Noise) -> FloatArray:
+    def advance(self, command: Pair, duration: float, noise: Noise) -> FloatArray:
         """Return the two ends of a straight way, or points along a bend; see `CarDynamics`."""
         if command[1] != 0.0 and not self.steered:
             self.steered = True

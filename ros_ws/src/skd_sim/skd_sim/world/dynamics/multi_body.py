@@ -31,7 +31,7 @@ import numpy as np
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import GRAVITY, PEAK_FRICTION, Noise
-from skd_sim.world.state import CarState, FloatArray, draw_relative, on_grid
+from skd_sim.world.state import CarState, FloatArray, Pair, draw_relative, on_grid
 
 
 class Vehicle(NamedTuple):
@@ -108,52 +108,50 @@ def _curve(slope: float, curvature: float, slip: float) -> float:
 
 
 @kernel
-def tyre_force(slip: float, load: float, tyre: Tyre, friction: float) -> float:
+def tyre_force(slip: float, load: float, friction: float) -> float:
     """Return the force on a wheel along the road, N.
 
     Args:
         slip: 1 − R·ω/v; positive under braking.
         load: vertical force, N; a wheel in the air (≤ 0) has no force.
-        tyre: coefficients of the tyre.
         friction: friction of the road, relative to the road on which the coefficients were measured.
     """
     if load <= 0.0:
         return 0.0
-    peak = friction * tyre.p_dx1
-    stiffness = tyre.p_kx1 / (tyre.p_cx1 * peak)
-    return peak * load * math.sin(tyre.p_cx1 * _curve(stiffness, tyre.p_ex1, -slip))
+    peak = friction * TYRE.p_dx1
+    stiffness = TYRE.p_kx1 / (TYRE.p_cx1 * peak)
+    return peak * load * math.sin(TYRE.p_cx1 * _curve(stiffness, TYRE.p_ex1, -slip))
 
 
 @kernel
-def tyre_forces(slip: float, angle: float, load: float, tyre: Tyre, friction: float) -> tuple[float, float]:
+def tyre_forces(slip: float, angle: float, load: float, friction: float) -> Pair:
     """Return the forces along and to the left of an axle's wheels, N, which lessen each other.
 
     Args:
         slip: see `tyre_force`, as the others.
         angle: by which the wheels' course is to the left of where they point, rad.
         load: vertical force, N.
-        tyre: coefficients of the tyre.
         friction: friction of the road.
     """
-    peak = friction * tyre.p_dy1
-    curve = _curve(tyre.p_ky1 / (tyre.p_cy1 * peak), tyre.p_ey1, angle)
-    aside = peak * load * math.sin(tyre.p_cy1 * curve)
-    along = tyre_force(slip, load, tyre, friction)
+    peak = friction * TYRE.p_dy1
+    curve = _curve(TYRE.p_ky1 / (TYRE.p_cy1 * peak), TYRE.p_ey1, angle)
+    aside = peak * load * math.sin(TYRE.p_cy1 * curve)
+    along = tyre_force(slip, load, friction)
     # On a slippery road forces peak at slips as much smaller; each lessens the other at these slips, too (similarity).
     slip, angle = slip / friction, angle / friction
-    slope = tyre.r_by1 * math.cos(math.atan(tyre.r_by2 * angle))
-    aside *= math.cos(tyre.r_cy1 * _curve(slope, tyre.r_ey1, slip))
-    slope = tyre.r_bx1 * math.cos(math.atan(tyre.r_bx2 * slip))
-    return along * math.cos(tyre.r_cx1 * _curve(slope, tyre.r_ex1, angle)), aside
+    slope = TYRE.r_by1 * math.cos(math.atan(TYRE.r_by2 * angle))
+    aside *= math.cos(TYRE.r_cy1 * _curve(slope, TYRE.r_ey1, slip))
+    slope = TYRE.r_bx1 * math.cos(math.atan(TYRE.r_bx2 * slip))
+    return along * math.cos(TYRE.r_cx1 * _curve(slope, TYRE.r_ex1, angle)), aside
 
 
-def peak_slip(tyre: Tyre, friction: float) -> float:
+def peak_slip(friction: float) -> float:
     """Return the slip at which a rolling tyre brakes best, found by bisection on the curve."""
-    slope = tyre.p_kx1 / (tyre.p_cx1 * friction * tyre.p_dx1)
+    slope = TYRE.p_kx1 / (TYRE.p_cx1 * friction * TYRE.p_dx1)
     low, high = 0.0, 1.0
     for _ in range(60):
         middle = 0.5 * (low + high)
-        rising = tyre.p_cx1 * _curve(slope, tyre.p_ex1, middle) < 0.5 * math.pi
+        rising = TYRE.p_cx1 * _curve(slope, TYRE.p_ex1, middle) < 0.5 * math.pi
         low, high = (middle, high) if rising else (low, middle)
     return 0.5 * (low + high)
 
@@ -182,13 +180,11 @@ class _Axle(NamedTuple):
 
 
 @kernel
-def _spin(
-    speed: float, slip: float, force: float, brake: float, drive: float, command: WheelTorques, vehicle: Vehicle
-) -> float:
+def _spin(speed: float, slip: float, force: float, brake: float, drive: float, command: WheelTorques) -> float:
     """Return the angular acceleration of a wheel of an angular speed (rad/s), rad/s²."""
     if slip > command.release_begin:
         brake *= max(0.0, (command.release_end - slip) / (command.release_end - command.release_begin))
-    rate = (drive - brake - vehicle.R_w * force) / vehicle.I_y_w
+    rate = (drive - brake - BMW_320I.R_w * force) / BMW_320I.I_y_w
     return 0.0 if speed <= 0.0 and rate < 0.0 else rate  # a brake does not turn a wheel backwards
 
 
@@ -201,39 +197,35 @@ def _axle(
     brake: float,
     drive: float,
     command: WheelTorques,
-    vehicle: Vehicle,
-    tyre: Tyre,
     friction: float,
     out: FloatArray,
-) -> tuple[float, float]:
+) -> Pair:
     """Write the derivatives of an axle's own states; return its longitudinal and its suspension force, N."""
-    radius, z_u = vehicle.R_w, x[at]
-    load = max(0.0, z_u * vehicle.K_zt)
+    radius, z_u = BMW_320I.R_w, x[at]
+    load = max(0.0, z_u * BMW_320I.K_zt)
     slip = 1.0 - radius * x[wheels] / x[SPEED]
-    travel = vehicle.h_s - radius + z_u - x[HEIGHT] - vehicle.h_s + radius + axle.lever * x[PITCH]
-    force = tyre_force(slip, load, tyre, friction)
+    travel = BMW_320I.h_s - radius + z_u - x[HEIGHT] - BMW_320I.h_s + radius + axle.lever * x[PITCH]
+    force = tyre_force(slip, load, friction)
     travel_rate = x[at + 1] - x[VERTICAL_SPEED] + axle.lever * x[PITCH_RATE]
     lift = 2.0 * (axle.static - travel * axle.spring - travel_rate * axle.damper)
     out[at] = x[at + 1]
     out[at + 1] = GRAVITY - (2.0 * load - lift) / axle.mass
-    out[wheels] = _spin(x[wheels], slip, force, brake, drive, command, vehicle)
+    out[wheels] = _spin(x[wheels], slip, force, brake, drive, command)
     return 2.0 * force, lift
 
 
 @kernel
-def _steered_derivative(
-    x: FloatArray, command: WheelTorques, v: Vehicle, tyre: Tyre, friction: float, out: FloatArray
-) -> None:
+def _steered_derivative(x: FloatArray, command: WheelTorques, friction: float, out: FloatArray) -> None:
     """Write the time derivative of the states of a car that was steered; see `derivative`."""
-    speed, rate, drift, angle = x[SPEED], x[YAW_RATE], x[DRIFT], x[ANGLE]
+    v, speed, rate, drift, angle = BMW_320I, x[SPEED], x[YAW_RATE], x[DRIFT], x[ANGLE]
     ahead, left = speed * math.cos(drift), speed * math.sin(drift)
     fixed, moved, base = v.m * GRAVITY, v.m * command.pull * v.h_s, v.a + v.b
     rolls = max(LOW_SPEED, ahead * math.cos(angle) + (left + v.a * rate) * math.sin(angle))
     slip_f, slip_r = 1.0 - v.R_w * x[WHEELS] / rolls, 1.0 - v.R_w * x[WHEELS + 1] / max(LOW_SPEED, ahead)
     course_f = math.atan((left + v.a * rate) / max(LOW_SPEED, ahead))
     course_r = math.atan((left - v.b * rate) / max(LOW_SPEED, ahead))
-    along_f, aside_f = tyre_forces(slip_f, course_f - angle, (fixed * v.b - moved) / base, tyre, friction)
-    along_r, aside_r = tyre_forces(slip_r, course_r, (fixed * v.a + moved) / base, tyre, friction)
+    along_f, aside_f = tyre_forces(slip_f, course_f - angle, (fixed * v.b - moved) / base, friction)
+    along_r, aside_r = tyre_forces(slip_r, course_r, (fixed * v.a + moved) / base, friction)
     push = along_f * math.cos(angle) - aside_f * math.sin(angle) + along_r
     turn = along_f * math.sin(angle) + aside_f * math.cos(angle)
     out[:] = 0.0
@@ -242,36 +234,32 @@ def _steered_derivative(
     out[HEADING], out[YAW_RATE] = rate, (v.a * turn - v.b * aside_r) / v.I_z
     out[DRIFT] = ((turn + aside_r) * math.cos(drift) - push * math.sin(drift)) / (v.m * speed) - rate
     brake, drive = command.brake_front, command.drive_front
-    out[WHEELS] = _spin(x[WHEELS], slip_f, 0.5 * along_f, brake, drive, command, v)
+    out[WHEELS] = _spin(x[WHEELS], slip_f, 0.5 * along_f, brake, drive, command)
     brake, drive = command.brake_rear, command.drive_rear
-    out[WHEELS + 1] = _spin(x[WHEELS + 1], slip_r, 0.5 * along_r, brake, drive, command, v)
+    out[WHEELS + 1] = _spin(x[WHEELS + 1], slip_r, 0.5 * along_r, brake, drive, command)
 
 
 @kernel
-def derivative(
-    x: FloatArray, command: WheelTorques, vehicle: Vehicle, tyre: Tyre, friction: float, out: FloatArray
-) -> None:
+def derivative(x: FloatArray, command: WheelTorques, friction: float, out: FloatArray) -> None:
     """Write the time derivative of the states.
 
     Args:
         x: states; the speed has to be above about 0.1 m/s.
         command: torques on the wheels.
-        vehicle: parameters of the vehicle.
-        tyre: parameters of the tyres.
         friction: friction of the road, relative to a dry one.
         out: overwritten.
     """
-    v = vehicle
     if command.steered:
-        _steered_derivative(x, command, v, tyre, friction, out)
+        _steered_derivative(x, command, friction, out)
         return
+    v = BMW_320I
     share = v.m_s * GRAVITY / (2.0 * (v.a + v.b))
     front = _Axle(v.a, share * v.b, v.K_sf, v.K_sdf, v.m_uf)
     rear = _Axle(-v.b, share * v.a, v.K_sr, v.K_sdr, v.m_ur)
     brake, drive = command.brake_front, command.drive_front
-    along_f, lift_f = _axle(x, FRONT, WHEELS, front, brake, drive, command, v, tyre, friction, out)
+    along_f, lift_f = _axle(x, FRONT, WHEELS, front, brake, drive, command, friction, out)
     brake, drive = command.brake_rear, command.drive_rear
-    along_r, lift_r = _axle(x, REAR, WHEELS + 1, rear, brake, drive, command, v, tyre, friction, out)
+    along_r, lift_r = _axle(x, REAR, WHEELS + 1, rear, brake, drive, command, friction, out)
     along = along_f + along_r
     out[AHEAD] = x[SPEED]
     out[SPEED] = along / v.m
@@ -315,21 +303,19 @@ def apply_brake(brake: FloatArray, demand: float, rate: float, step: float) -> f
 
 
 @kernel
-def _runge_kutta(
-    x: FloatArray, command: WheelTorques, vehicle: Vehicle, tyre: Tyre, friction: float, step: float, work: FloatArray
-) -> None:
+def _runge_kutta(x: FloatArray, command: WheelTorques, friction: float, step: float, work: FloatArray) -> None:
     """Advance the states by one step, in place; `work` is 5 × STATES."""
     k1, k2, k3, k4, at = work[0], work[1], work[2], work[3], work[4]
-    derivative(x, command, vehicle, tyre, friction, k1)
+    derivative(x, command, friction, k1)
     for i in range(STATES):
         at[i] = x[i] + 0.5 * step * k1[i]
-    derivative(at, command, vehicle, tyre, friction, k2)
+    derivative(at, command, friction, k2)
     for i in range(STATES):
         at[i] = x[i] + 0.5 * step * k2[i]
-    derivative(at, command, vehicle, tyre, friction, k3)
+    derivative(at, command, friction, k3)
     for i in range(STATES):
         at[i] = x[i] + step * k3[i]
-    derivative(at, command, vehicle, tyre, friction, k4)
+    derivative(at, command, friction, k4)
     for i in range(STATES):
         x[i] += step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
     for i in (WHEELS, WHEELS + 1, SPEED):
@@ -337,14 +323,14 @@ def _runge_kutta(
 
 
 @kernel
-def _roll(x: FloatArray, rest: FloatArray, acceleration: float, step: float, vehicle: Vehicle, steered: bool) -> None:
+def _roll(x: FloatArray, rest: FloatArray, acceleration: float, step: float, steered: bool) -> None:
     """Advance the car as one body at walking pace, its springs at rest; only an engine makes wheels turn faster."""
     before, after = x[SPEED], max(0.0, x[SPEED] + acceleration * step)
     distance = 0.5 * step * (before + after)
     x[SPEED] = after
     if steered:
-        bend = math.tan(x[ANGLE]) / (vehicle.a + vehicle.b)
-        x[DRIFT] = math.atan(vehicle.b * bend)
+        bend = math.tan(x[ANGLE]) / (BMW_320I.a + BMW_320I.b)
+        x[DRIFT] = math.atan(BMW_320I.b * bend)
         bend *= math.cos(x[DRIFT])
         x[AHEAD] += distance * math.cos(x[HEADING] + x[DRIFT])
         x[LEFT] += distance * math.sin(x[HEADING] + x[DRIFT])
@@ -354,7 +340,7 @@ def _roll(x: FloatArray, rest: FloatArray, acceleration: float, step: float, veh
         for i in range(PITCH, WHEELS):
             x[i] = rest[i]
     for i in range(WHEELS, STATES):
-        x[i] = after / vehicle.R_w if acceleration > 0.0 else min(x[i], after / vehicle.R_w)
+        x[i] = after / BMW_320I.R_w if acceleration > 0.0 else min(x[i], after / BMW_320I.R_w)
 
 
 @kernel
@@ -362,13 +348,11 @@ def _advance(
     x: FloatArray,
     brake: FloatArray,
     rest: FloatArray,
-    demand: tuple[float, float],
+    demand: Pair,
     steered: bool,
     brake_rate: float,
-    slips: tuple[float, float],
+    slips: Pair,
     stiffness: float,
-    vehicle: Vehicle,
-    tyre: Tyre,
     friction: float,
     step: float,
     steps_per_knot: int,
@@ -377,27 +361,27 @@ def _advance(
     """Drive on, and write pose and speed at every knot but the first to `path`; not steered, the way for x alone."""
     work = np.empty((5, STATES))
     # The wheels' spin is braked, too: with its share a command within the grip is what the car does.
-    mass_radius = vehicle.m * vehicle.R_w + 4.0 * vehicle.I_y_w / vehicle.R_w
-    grip = friction * tyre.p_dx1 * GRAVITY
+    mass_radius = BMW_320I.m * BMW_320I.R_w + 4.0 * BMW_320I.I_y_w / BMW_320I.R_w
+    grip = friction * TYRE.p_dx1 * GRAVITY
     acceleration, angle = demand
-    turn = vehicle.v_max * step
+    turn = BMW_320I.v_max * step
     for knot in range(1, path.shape[0]):
         for _ in range(steps_per_knot):
             slowing = apply_brake(brake, max(0.0, -acceleration), brake_rate, step)
             speed = x[SPEED]
-            limit = vehicle.a_max * min(1.0, vehicle.v_switch / max(speed, vehicle.v_switch))
+            limit = BMW_320I.a_max * min(1.0, BMW_320I.v_switch / max(speed, BMW_320I.v_switch))
             driving = 0.0 if slowing > 0.0 else min(limit, max(0.0, acceleration))
             pull = driving - min(grip, slowing)
             if steered:
                 x[ANGLE] += min(turn, max(-turn, angle - x[ANGLE]))
             if speed < LOW_SPEED:
-                _roll(x, rest, pull, step, vehicle, steered)
+                _roll(x, rest, pull, step, steered)
                 continue
             command = WheelTorques(
-                0.5 * vehicle.T_sb * mass_radius * slowing,
-                0.5 * (1.0 - vehicle.T_sb) * mass_radius * slowing,
-                0.5 * vehicle.T_se * mass_radius * driving,
-                0.5 * (1.0 - vehicle.T_se) * mass_radius * driving,
+                0.5 * BMW_320I.T_sb * mass_radius * slowing,
+                0.5 * (1.0 - BMW_320I.T_sb) * mass_radius * slowing,
+                0.5 * BMW_320I.T_se * mass_radius * driving,
+                0.5 * (1.0 - BMW_320I.T_se) * mass_radius * driving,
                 slips[0],
                 slips[1],
                 pull,
@@ -405,19 +389,19 @@ def _advance(
             )
             parts = math.ceil(step * stiffness / (_STABLE * speed))
             for _ in range(parts):
-                _runge_kutta(x, command, vehicle, tyre, friction, step / parts, work)
+                _runge_kutta(x, command, friction, step / parts, work)
         path[knot, 0], path[knot, 1], path[knot, 2], path[knot, 3] = x[AHEAD], x[LEFT], on_grid(x[HEADING]), x[SPEED]
 
 
-def rest_state(vehicle: Vehicle) -> FloatArray:
+def rest_state() -> FloatArray:
     """Return the states of the car at rest on its springs: every derivative but those of the motion is zero."""
     state = np.zeros(STATES)
-    share = vehicle.m_s / (vehicle.a + vehicle.b)
-    front = (share * vehicle.b + vehicle.m_uf) * GRAVITY / (2.0 * vehicle.K_zt)
-    rear = (share * vehicle.a + vehicle.m_ur) * GRAVITY / (2.0 * vehicle.K_zt)
-    pitch = (rear - front) / (vehicle.a + vehicle.b)
+    share = BMW_320I.m_s / (BMW_320I.a + BMW_320I.b)
+    front = (share * BMW_320I.b + BMW_320I.m_uf) * GRAVITY / (2.0 * BMW_320I.K_zt)
+    rear = (share * BMW_320I.a + BMW_320I.m_ur) * GRAVITY / (2.0 * BMW_320I.K_zt)
+    pitch = (rear - front) / (BMW_320I.a + BMW_320I.b)
     state[FRONT], state[REAR] = front, rear
-    state[PITCH], state[HEIGHT] = pitch, front + vehicle.a * pitch
+    state[PITCH], state[HEIGHT] = pitch, front + BMW_320I.a * pitch
     return state
 
 
@@ -442,19 +426,19 @@ class MultiBodyCar:
             scenario: gives friction, brake and noise.
             step: greatest integration step, s.
         """
-        car, vehicle = scenario.car, BMW_320I
+        car = scenario.car
         knots = math.ceil(scenario.control_duration / _PATH_STEP - 1e-9)
         self._knot = scenario.control_duration / knots
         self._steps_per_knot = math.ceil(self._knot / step - 1e-9)
         self._step = self._knot / self._steps_per_knot
         self._car, self._friction = car, scenario.road.friction
-        peak = peak_slip(TYRE, self._friction)
+        peak = peak_slip(self._friction)
         self._slips = (_RELEASE[0] * peak, _RELEASE[1] * peak) if car.antilock else _NEVER
-        load = 0.5 * vehicle.m * GRAVITY  # at most about half of the car on one wheel
-        torque = 0.5 * vehicle.T_sb * vehicle.m * vehicle.R_w * car.brake_limit
-        slope = vehicle.R_w * TYRE.p_kx1 * load + torque / (self._slips[1] - self._slips[0])
-        self._stiffness = vehicle.R_w * slope / vehicle.I_y_w
-        self._rest = rest_state(vehicle)
+        load = 0.5 * BMW_320I.m * GRAVITY  # at most about half of the car on one wheel
+        torque = 0.5 * BMW_320I.T_sb * BMW_320I.m * BMW_320I.R_w * car.brake_limit
+        slope = BMW_320I.R_w * TYRE.p_kx1 * load + torque / (self._slips[1] - self._slips[0])
+        self._stiffness = BMW_320I.R_w * slope / BMW_320I.I_y_w
+        self._rest = rest_state()
         self.state = self._rest.copy()
 
     def reset(self, car: CarState) -> None:
@@ -469,7 +453,7 @@ class MultiBodyCar:
         """Draw the command's perturbation; the speed has none."""
         return Noise(0.0, draw_relative(self._car.acceleration_noise, rng))
 
-    def advance(self, command: tuple[float, float], duration: float, noise: Noise) -> FloatArray:
+    def advance(self, command: Pair, duration: float, noise: Noise) -> FloatArray:
         """Drive on; see `CarDynamics`.
 
         Raises:
@@ -496,8 +480,6 @@ class MultiBodyCar:
             self._car.brake_rate,
             self._slips,
             self._stiffness,
-            BMW_320I,
-            TYRE,
             self._friction,
             self._step,
             self._steps_per_knot,
