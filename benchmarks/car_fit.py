@@ -32,7 +32,7 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")

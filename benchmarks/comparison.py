@@ -38,7 +38,7 @@ from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.statistics import wilson_interval
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import FloatArray
 

@@ -29,7 +29,7 @@ from skd_evaluator.metrics.frechet import warped_distance
 from skd_evaluator.metrics.sample_size import expected_width, narrow_enough, nominal_confidence
 from skd_evaluator.metrics.skd import bound_interval
 from skd_evaluator.metrics.statistics import frechet_probability_bound, normal_interval, wilson_interval
-from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
+from skd_sim.options.car_and_adversary import RANKING_OBJECTIVES, first_of
 from skd_sim.world.state import FloatArray
 from tally import Tally
 

@@ -31,8 +31,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graph_session, prepare_ros
-from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import AdversaryModel, CarUnderTest
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 

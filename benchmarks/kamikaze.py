@@ -25,7 +25,7 @@ from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.skd import compute_skd
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import Trajectory

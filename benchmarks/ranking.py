@@ -44,7 +44,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner, available_work
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.difference import Difference, difference
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.ros_environment.installation import enter_ros, is_ready
 from skd_sim.scenario.scenario import load_scenario
 from wide_scenarios import HITS, TRUTHS, Manner, Truth, outcomes

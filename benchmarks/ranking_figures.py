@@ -19,7 +19,7 @@ from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.risks import SCALES, Touch
 from skd_evaluator.risk.crossings import AnyCar, CrossingPlan
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import Trajectory
 from wide_scenarios import HITS

@@ -28,7 +28,7 @@ from skd_evaluator.extensions.fusion.calibration import (
     off_by,
 )
 from skd_evaluator.metrics.statistics import wilson_interval
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import EpisodeSpec, Mode

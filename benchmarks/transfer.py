@@ -38,7 +38,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.margins import EquivalentMultiplier, equivalent_multiplier
-from skd_sim.options.car_under_test import BASIC, DYNAMICS
+from skd_sim.options.car_and_adversary import BASIC, DYNAMICS
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
 TEN = (

@@ -12,7 +12,7 @@ from skd_adversary.adversary import any_car_models, warm_up_episodes
 from skd_evaluator import assess, discrete_frechet
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.margin import warm_up_margins
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, Objective
 
 CARS = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
 """Controllers and dynamics that nobody has modelled."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from skd_evaluator import Plan, run_episode
 from skd_sim import EpisodeSpec, Mode, Outcome, Scenario, Trajectory
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.world.state import FloatArray
 
 ON_FOOT = {"child": 2.0, "runner": 3.0}  # m/s², in any direction

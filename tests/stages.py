@@ -6,7 +6,7 @@ from typing import Any
 from skd_evaluator import Assessment, Plan
 from skd_evaluator.assessment.context import Context, RiskRequest, Runner
 from skd_evaluator.assessment.stages import kamikazes, margin, risk
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.world.state import Trajectory
 
 

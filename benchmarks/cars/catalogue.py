@@ -13,7 +13,7 @@ from functools import cached_property
 
 from skd_sim.controllers.controller import control_period_of, make_controller, with_control_period
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
 MULTIPLIERS = (0.5, 0.75, 1.0, 1.15, 1.5)

@@ -40,7 +40,7 @@ from skd_adversary.crossing.road_users import road_user_named
 from skd_sim import AdversaryState, CarState, Scenario, UsageError, load_scenario
 from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.controller import user_controller
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.road import beside_road, road_pose
 from skd_sim.world.contact import to_car_frame
 

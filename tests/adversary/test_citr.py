@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from citr_lookalike import LookAlike, Walk
-from skd_adversary.safe_trajectories.citr import Clip, read_clips, select, touches_cart
+from skd_adversary.safe_trajectories.sources import Clip, read_clips, select, touches_cart
 from skd_sim import Scenario, Trajectory, UsageError, load_scenario
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 

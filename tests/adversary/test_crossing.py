@@ -31,7 +31,7 @@ from skd_adversary.crossing.objectives import PAPER, objective_named, polyline_d
 from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, PEDESTRIAN, STAY, action_velocity, road_user_named
 from skd_sim import CarState, EpisodeSpec, Mode, Scenario, Trajectory, kernel, load_scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.options.adversary import OBJECTIVES
+from skd_sim.options.car_and_adversary import OBJECTIVES
 from skd_sim.scenario.road import road_position
 from skd_sim.world.state import FloatArray
 from skd_sim.world.world import World

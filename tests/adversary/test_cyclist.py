@@ -13,7 +13,7 @@ from skd_adversary.crossing.road_users import BRAKE_LEFT, BRAKE_RIGHT, CYCLIST, 
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim import EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, Objective
 
 SCENARIO = load_scenario("cyclist")
 ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md (4) has them

@@ -19,7 +19,7 @@ from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, EAST, STAY
 from skd_adversary.pomdp.model import Pomdp
 from skd_evaluator import deviation, run_episode
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.7, 0.6), (-0.9, 0.5), (0.1, 0.0), (0.9, -0.1), (2.4, 0.0)])

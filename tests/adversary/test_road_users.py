@@ -19,7 +19,7 @@ from skd_adversary.crossing.road_users import (
 )
 from skd_evaluator import deviation, run_episode
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
-from skd_sim.options.adversary import AdversaryModel, Objective
+from skd_sim.options.car_and_adversary import AdversaryModel, Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario_file import SCENARIOS

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.static_tests import static_episodes
 from skd_sim import Controller, EpisodeLog, Outcome, Scenario
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.protocol import impact_offset
 
 

@@ -18,7 +18,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
 from skd_evaluator.assessment.stages.car_model import CHOICES, kept_models, learned, model_file, needs_learning
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import AdversaryModel
+from skd_sim.options.car_and_adversary import AdversaryModel
 from skd_sim.options.options import EpisodeOptions, options_of
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

@@ -18,7 +18,7 @@ from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.crossings import AnyCar, CrossingPlan, batched_car
 from skd_sim import Mode, Outcome, Trajectory, load_scenario
-from skd_sim.options.adversary import AdversaryModel
+from skd_sim.options.car_and_adversary import AdversaryModel
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "batches"
 SCENARIO = load_scenario("crossing")

@@ -9,7 +9,7 @@ from cli_support import CROSSING
 from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED
 from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
 from skd_sim import UsageError, load_scenario
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, Objective
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -11,8 +11,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import check_controller
 from skd_sim import AdversaryState, CarState, EpisodeSpec, Frame, Mode, Outcome, Scenario, UsageError, WorldSimulator
 from skd_sim.controllers.controller import user_controller
-from skd_sim.options.adversary import Objective
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest, Objective
 
 POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]
 OFTEN = replace(CROSSING, control_period=0.1)

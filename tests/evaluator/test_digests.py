@@ -24,7 +24,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim import AdversaryState, CarState, Mode, Outcome, Scenario, load_scenario
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from stages import rate
 
 DIGESTS = Path(__file__).with_name("digests.json")

@@ -23,7 +23,7 @@ from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.aborted import not_credible
 from skd_sim import EpisodeSpec, Mode, Outcome, Scenario, Trajectory, UsageError, load_scenario
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.scenario import scenario_from_dict
 
 CROSSING = load_scenario("crossing")

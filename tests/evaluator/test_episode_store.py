@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from skd_evaluator import AssessmentError, Plan
 from skd_evaluator.assessment.files import episode_store
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, UsageError, load_scenario
-from skd_sim.options.adversary import AdversaryModel, Objective
+from skd_sim.options.car_and_adversary import AdversaryModel, Objective
 from skd_sim.world.timing import Timing
 
 CROSSING = load_scenario("crossing")

@@ -14,8 +14,7 @@ from skd_evaluator.assessment.run.dask_cluster import _have, sent
 from skd_evaluator.assessment.stages.car_model import model_file
 from skd_evaluator.provenance import code_paths, git_revision
 from skd_sim import UsageError, load_scenario
-from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.options.car_and_adversary import EXTERNAL, AdversaryModel, CarUnderTest
 
 CROSSING = load_scenario("crossing")
 CAR, FLEET = CarUnderTest("netcar:Car"), CarUnderTest("fleet.cars.fast:Car")

@@ -23,7 +23,7 @@ from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.summary import junit_xml, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, load_scenario
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES
 from stages import rate
 
 PLAN = Plan(

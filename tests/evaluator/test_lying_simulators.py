@@ -10,7 +10,7 @@ import pytest
 from skd_evaluator import AssessmentError, assess, run_episode
 from skd_sim import AdversaryState, Trajectory, load_scenario
 from skd_sim.controllers.basic import BasicController
-from skd_sim.options.car_under_test import SIMULATORS
+from skd_sim.options.car_and_adversary import SIMULATORS
 from skd_sim.simulators.simulator import Frame, SimulatorError, WorldSimulator
 from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Mode, Outcome, kind_of
 

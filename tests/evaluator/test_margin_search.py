@@ -22,7 +22,7 @@ from skd_evaluator.margin.search.trial import prescribed
 from skd_sim import AdversaryState, CarState, Controller, Trajectory, UsageError, load_scenario
 from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.controller import make_controller
-from skd_sim.options.adversary import AdversaryModel
+from skd_sim.options.car_and_adversary import AdversaryModel
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, controller_generator, controller_seed
 from skd_sim.world.world import make_world
 

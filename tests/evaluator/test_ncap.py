@@ -24,7 +24,7 @@ from skd_evaluator.extensions.protocols.result import (
 from skd_evaluator.library import assess
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim import UsageError, load_scenario
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.scenario_file import SCENARIOS
 from static_support import static_tests
 

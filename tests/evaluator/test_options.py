@@ -15,7 +15,7 @@ from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.arguments import graph_options
 from skd_evaluator.cli.parser import make_parser, parse
 from skd_sim import EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.options.options import (
     FIELDS,
     PLANNING,

@@ -13,7 +13,7 @@ from skd_evaluator.assessment.from_options import check_car
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.report.warnings import contact_warnings
 from skd_sim import EpisodeLog, EpisodeSpec, Frame, Mode, Outcome, Trajectory, UsageError, WorldSimulator, load_scenario
-from skd_sim.options.car_under_test import SIMULATORS
+from skd_sim.options.car_and_adversary import SIMULATORS
 from skd_sim.options.options import options_of
 
 CROSSING = load_scenario("crossing")

@@ -24,7 +24,7 @@ from skd_evaluator.assessment.stages import kamikazes
 from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES
 from skd_sim.world.episode import AbortKind, abort_reason, kind_of
 from stages import rate, with_margins, with_risks
 

@@ -14,7 +14,7 @@ from skd_evaluator.extensions.protocols.page import views_of
 from skd_evaluator.library import assess
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from static_support import static_tests
 

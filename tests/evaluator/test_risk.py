@@ -27,7 +27,7 @@ from skd_evaluator.report.repeat import repeat_crossing
 from skd_evaluator.risk.crossings import IN_A_CURVE, SAME, AnyCar, CrossingPlan, Crossings, Ends, KnownCar, side_touched
 from skd_evaluator.risk.subset import SubsetEffort, gathered, levels_of, replicate
 from skd_sim import Outcome, Trajectory, load_scenario
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from stages import rate, with_risks
 
 CROSSING = load_scenario("crossing")

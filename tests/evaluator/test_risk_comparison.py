@@ -25,7 +25,7 @@ from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
 from skd_evaluator.risk.crossings import AnyCar, CrossingPlan, end_of
 from skd_sim import Controller, EpisodeLog, EpisodeSpec, Frame, Outcome, Scenario, WorldSimulator, load_scenario
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
 from stages import rate, with_margins, with_risks

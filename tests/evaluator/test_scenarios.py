@@ -12,7 +12,7 @@ from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import FramedSimulator, FrameSource
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

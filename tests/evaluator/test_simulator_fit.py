@@ -11,7 +11,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.extensions.fusion.calibration import Recorded, calibrated, estimated, off_by, recorded
 from skd_evaluator.metrics.surrogate_scenes import Interaction
 from skd_sim import EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 
 START = {"delay": 0.1, "deceleration": 15.0, "friction": 1.0}
 TIMES = np.linspace(0.0, 3.0, 11)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario, changed_scenario
 from skd_sim.world.state import AdversaryState, CarState

@@ -20,7 +20,7 @@ from skd_evaluator.assessment.stages.sequential import LOOKS
 from skd_evaluator.metrics.clustered import DISTANCES
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim import Trajectory, UsageError, load_scenario
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from stages import rate
 
 PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)

@@ -20,7 +20,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_sim.controllers.controller import Controller, with_control_period
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import AdversaryModel
+from skd_sim.options.car_and_adversary import AdversaryModel
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

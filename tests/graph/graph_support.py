@@ -22,7 +22,7 @@ from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.report.progress import COMPILING
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graph_session
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.world.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent

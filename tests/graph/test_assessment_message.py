@@ -12,7 +12,7 @@ from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import EquivalentMultiplier, Margins
 from skd_evaluator.ros.evaluator import assessment_to_message
 from skd_sim import EpisodeLog, Mode, Outcome, Trajectory, load_scenario
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, Objective
 from stages import rate
 
 OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}

@@ -24,7 +24,7 @@ from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.controllers.basic import BasicController
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.sensors import Scan

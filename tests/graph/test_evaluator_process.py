@@ -11,7 +11,7 @@ from graph_nodes import running, start_node, wait_for_end
 from graph_support import Program, assert_same_results, skd_here
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
-from skd_sim.options.adversary import AdversaryModel
+from skd_sim.options.car_and_adversary import AdversaryModel
 
 MODULES = {
     "vehicle_simulator": "skd_sim.ros.simulator_node",

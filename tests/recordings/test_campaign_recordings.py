@@ -21,7 +21,7 @@ from skd_evaluator.assessment.stages.car_model import own_trials
 from skd_evaluator.bags.checks import missing_episodes
 from skd_evaluator.ros.recording import bag_name
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, load_scenario
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective
 
 PLAN = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=2)
 SAFE = [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")]

@@ -12,7 +12,7 @@ from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.ros import session
 from skd_evaluator.ros.processes import CONTROLLER, graph_programs
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.ros_environment.installation import (
     GUARD,
     foreign_variables,

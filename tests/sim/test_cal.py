@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom
 from skd_sim import AdversaryState, CarState, SensingController, UsageError, load_scenario
 from skd_sim.controllers.cal import FEATURES, GAP, CalController, CalState, HazardNetwork, segment, shipped_network
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle
 from skd_sim.world.sensors import PlanarLaser

@@ -10,7 +10,7 @@ import pytest
 from skd_sim.controllers import reference_drivers
 from skd_sim.controllers.controller import make_controller, with_control_period
 from skd_sim.controllers.reference_drivers import IdmConstants, RelativeState, idm_acceleration
-from skd_sim.options.car_under_test import REFERENCE_DRIVERS
+from skd_sim.options.car_and_adversary import REFERENCE_DRIVERS
 from skd_sim.scenario.scenario import changed_scenario, load_scenario
 from skd_sim.world.state import AdversaryState, CarState, Scene
 

@@ -18,7 +18,7 @@ from skd_evaluator.metrics.deviation import hit_of
 from skd_evaluator.metrics.price_of_caution import lanes_left
 from skd_sim.controllers.controller import user_controller
 from skd_sim.errors import NoNumberError, UsageError
-from skd_sim.options.adversary import AdversaryModel
+from skd_sim.options.car_and_adversary import AdversaryModel
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.dynamics.basic import SIDE_GRIP, STEERING_LIMIT, STEERING_RATE, BasicCar, Noise, wheels
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

@@ -12,8 +12,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import AdversaryModel, Objective
-from skd_sim.options.car_under_test import BASIC, DEFAULT, DYNAMICS
+from skd_sim.options.car_and_adversary import BASIC, DEFAULT, DYNAMICS, AdversaryModel, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode, Role, generator
 from skd_sim.world.state import CarState, FloatArray, Pair, Trajectory

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from skd_sim.options.adversary import objectives_named
+from skd_sim.options.car_and_adversary import objectives_named
 from skd_sim.options.options import option, options_of, read_options
 
 from skd_evaluator.assessment.assessment import Assessment

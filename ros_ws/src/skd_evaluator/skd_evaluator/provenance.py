@@ -29,7 +29,7 @@ import skd_sim
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import sha256_of
 from skd_sim.kernels.compilation import arithmetic_digest
-from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.options.car_and_adversary import CONTROLLERS, CarUnderTest
 
 from skd_evaluator.files import MARKERS, UNFINISHED
 from skd_evaluator.version import version

@@ -1,7 +1,7 @@
 """What the adversary wants: the safe crossing, the paper's kamikaze, and the kamikaze of least Fréchet distance.
 
 The kamikaze of least deviation stands in `kamikaze`. Objectives of kamikazes are found by name
-(`skd_sim.options.adversary.OBJECTIVES`), those of installed packages among them.
+(`skd_sim.options.car_and_adversary.OBJECTIVES`), those of installed packages among them.
 
 *Safe*, 𝒫° (paper, section "Generating Safe Trajectories"): reach the destination as fast as possible without a
 collision. The car that it is played against need not be the one under test; here it is the most cautious basic car of
@@ -27,7 +27,7 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.adversary import OBJECTIVES
+from skd_sim.options.car_and_adversary import OBJECTIVES
 from skd_sim.world.contact import runs_into
 from skd_sim.world.state import FloatArray
 

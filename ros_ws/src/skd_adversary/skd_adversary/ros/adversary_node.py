@@ -10,7 +10,7 @@ import numpy as np
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES
 from skd_sim.options.options import MAP_FRAME, option
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_car
 from skd_sim.ros.support import STREAM, EpisodeFollower, GraphNode, Topic, declare, run_node

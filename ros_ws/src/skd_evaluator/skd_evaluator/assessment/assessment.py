@@ -9,7 +9,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.options.car_and_adversary import (
+    DEFAULT_OBJECTIVES,
+    RANKING_OBJECTIVES,
+    SKD_OBJECTIVES,
+    Objective,
+    first_of,
+)
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import FloatArray, Trajectory
 

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
 from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT, GraphOptions

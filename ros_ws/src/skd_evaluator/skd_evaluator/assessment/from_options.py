@@ -11,12 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from skd_adversary.car_models.car_model_file import car_model_for_scenario, file_of
-from skd_adversary.safe_trajectories.citr import is_citr
-from skd_adversary.safe_trajectories.sources import count_safe_trajectories
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories, is_citr
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import real_path
-from skd_sim.options.adversary import AdversaryModel, check_adversary_model, default_adversary_model, objectives_named
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import (
+    AdversaryModel,
+    CarUnderTest,
+    check_adversary_model,
+    default_adversary_model,
+    objectives_named,
+)
 from skd_sim.options.options import EXTERNAL, GRAPH, options_of, values_of
 from skd_sim.scenario.scenario import Scenario, changed_scenario, check_control_period, load_scenario
 from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS, is_named, lineage

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import CarUnderTest, is_own_world
 from skd_sim.options.options import (
     EXTERNAL,
     GRAPH,

@@ -22,8 +22,7 @@ from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import check_kind
 from skd_sim.controllers.controller import with_control_period
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import check_adversary_model
-from skd_sim.options.car_under_test import DEFAULT, CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import DEFAULT, CarUnderTest, check_adversary_model, is_own_world
 from skd_sim.options.options import shared_options
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario

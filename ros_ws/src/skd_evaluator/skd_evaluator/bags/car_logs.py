@@ -9,8 +9,7 @@ import numpy as np
 from skd_adversary.car_models.observations import RecordedEpisode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json
-from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import AdversaryModel, CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH, right_and_along, road_pose
 from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.options.options import PLANNING, options_of, shared_options
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
 from skd_sim.world.state import Trajectory

@@ -18,8 +18,7 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import from_here
-from skd_sim.options.adversary import OBJECTIVES, objectives_named
-from skd_sim.options.car_under_test import is_own_world
+from skd_sim.options.car_and_adversary import OBJECTIVES, is_own_world, objectives_named
 from skd_sim.options.options import options_of
 from skd_sim.simulators.simulator import make_simulator
 

@@ -18,7 +18,7 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import CONTROLLERS, CarUnderTest, is_own_world
 from skd_sim.options.options import options_of
 from skd_sim.options.registry import CHECKOUTS
 

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from skd_adversary.adversary import Adversary
 from skd_sim.controllers.controller import make_controller
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, NamedSimulator
 from skd_sim.world.dynamics.basic import Command, as_pair

@@ -17,7 +17,7 @@ from skd_adversary.crossing.interfaces import path_velocity
 from skd_adversary.crossing.model import choices
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, PEDESTRIAN, STAY, action_velocity, road_user_named
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
+from skd_sim.options.car_and_adversary import DYNAMICS, CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import FloatArray

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from skd_adversary.crossing.road_users import AS_PHI
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import cache_folder
-from skd_sim.options.car_under_test import BASIC, WORLD
+from skd_sim.options.car_and_adversary import BASIC, WORLD
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeSpec
 from skd_sim.world.state import FloatArray, Trajectory

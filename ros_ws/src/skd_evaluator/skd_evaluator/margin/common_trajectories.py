@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import WORLD, AdversaryModel, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict, with_oncoming_lane
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import FloatArray, Trajectory

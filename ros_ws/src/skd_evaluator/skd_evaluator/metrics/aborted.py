@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.options.car_and_adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
 from skd_evaluator.metrics.vulnerability_curve import GRID
 

@@ -28,7 +28,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_sim.options.car_under_test import DYNAMICS
+from skd_sim.options.car_and_adversary import DYNAMICS
 from skd_sim.scenario.road import right_and_along, road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import altair as alt
 import numpy as np
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.world.state import FloatArray
 
 from skd_evaluator import palette

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from skd_adversary.safe_trajectories.recordings import write_trajectory
 from skd_sim.inputs.yaml_file import to_yaml
-from skd_sim.options.adversary import AdversaryModel, default_adversary_model
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import AdversaryModel, CarUnderTest, default_adversary_model
 from skd_sim.options.options import Option, options_of
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.scenario.scenario_file import is_named

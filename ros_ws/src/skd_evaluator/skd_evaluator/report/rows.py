@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
+from skd_sim.options.car_and_adversary import RANKING_OBJECTIVES, first_of
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
 from skd_evaluator.metrics.margins import GAP_WARNING, reference_text

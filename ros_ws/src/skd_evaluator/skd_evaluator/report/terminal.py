@@ -13,8 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from skd_sim.inputs.files import one_line
-from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
-from skd_sim.options.car_under_test import EXTERNAL
+from skd_sim.options.car_and_adversary import EXTERNAL, RANKING_OBJECTIVES, first_of
 
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import not_credible

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from skd_sim.options.adversary import SKD_OBJECTIVES, AdversaryModel, first_of
+from skd_sim.options.car_and_adversary import SKD_OBJECTIVES, AdversaryModel, first_of
 from skd_sim.world.episode import counted_reasons
 
 from skd_evaluator.assessment.assessment import Assessment

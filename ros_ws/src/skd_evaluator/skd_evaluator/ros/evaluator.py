@@ -26,7 +26,7 @@ from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import is_own_world
+from skd_sim.options.car_and_adversary import is_own_world
 from skd_sim.options.options import CommandOptions
 from skd_sim.ros import support
 from skd_sim.ros.commands import car_commands

@@ -17,8 +17,7 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException
 from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
-from skd_sim.options.adversary import AdversaryModel, objectives_named
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import AdversaryModel, CarUnderTest, objectives_named
 from skd_sim.options.options import CommandOptions, options_of, values_of
 from skd_sim.ros.support import declare, run_node
 from skd_sim.world.episode import Mode, Outcome

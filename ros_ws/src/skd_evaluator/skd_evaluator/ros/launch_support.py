@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.options.car_and_adversary import EXTERNAL, CarUnderTest
 from skd_sim.options.options import Option, SimulatorOptions, option, options_of
 from skd_sim.ros.support import descriptor_of
 

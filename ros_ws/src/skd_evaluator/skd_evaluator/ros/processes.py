@@ -23,7 +23,7 @@ from pathlib import Path
 from skd_sim.controllers.isolated import FAILED_STARTS
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import printable
-from skd_sim.options.car_under_test import WORLD, CarUnderTest
+from skd_sim.options.car_and_adversary import WORLD, CarUnderTest
 from skd_sim.ros_environment.installation import foreign_variables, is_sourced, node_variables
 from skd_sim.world.episode import AbortKind, EpisodeLog, Outcome, abort_reason, kind_of
 

@@ -23,7 +23,7 @@ from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 from skd_sim.inputs.files import from_here, near_or_all
 from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
-from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
+from skd_sim.options.car_and_adversary import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.options.registry import load, place_of, reason_of
 from skd_sim.scenario.scenario import CONTROL_PERIODS, Scenario, check_control_period
 from skd_sim.world.dynamics.basic import Command, steering_angle, wheels

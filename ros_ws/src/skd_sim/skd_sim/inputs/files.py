@@ -144,11 +144,7 @@ def parse_json(content: bytes | str, where: str) -> Any:
     try:
         text = content.decode("utf-8-sig") if isinstance(content, bytes) else content
         return json.loads(
-            text,
-            parse_constant=_refuse_constant,
-            parse_float=_finite,
-            parse_int=_whole,
-            object_pairs_hook=_each_once,
+            text, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole, object_pairs_hook=_each_once
         )
     except RecursionError as error:
         raise UsageError(f"{where}: not JSON that SKD reads: it is nested too deeply") from error

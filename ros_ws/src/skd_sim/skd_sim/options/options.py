@@ -16,8 +16,19 @@ from typing import Any, Final, NamedTuple, cast
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import parse_json
-from skd_sim.options import adversary
-from skd_sim.options.car_under_test import DEFAULT, SIMULATORS, WORLD, CarUnderTest, ControllerName
+from skd_sim.options.car_and_adversary import (
+    BOTH,
+    DEFAULT,
+    DEFAULT_SIMULATIONS,
+    OBJECTIVES,
+    SIMULATORS,
+    WORLD,
+    AdversaryModel,
+    CarUnderTest,
+    ControllerName,
+    Objective,
+    default_adversary_model,
+)
 from skd_sim.options.registry import Registry
 
 # ruff: noqa: RUF009 - `option` makes a field, as `dataclasses.field` does
@@ -216,29 +227,29 @@ class EpisodeOptions:
         metavar="FILE",
         unset="none",
     )
-    adversary_model: adversary.AdversaryModel | None = _car_option(
+    adversary_model: AdversaryModel | None = _car_option(
         None,
         "what the adversary knows of the car: generic (a basic one), learned (test drives or --car-model), exact (C)",
-        adversary.AdversaryModel,
-        choices=Names(tuple(map(str, adversary.AdversaryModel))),
-        metavar="{" + ",".join(adversary.AdversaryModel) + "}",
+        AdversaryModel,
+        choices=Names(tuple(map(str, AdversaryModel))),
+        metavar="{" + ",".join(AdversaryModel) + "}",
         commands=("assess", "episode"),
         unset="exact if basic, else generic",
         marks=(PLANNING,),
     )
     simulations: int = option(
-        adversary.DEFAULT_SIMULATIONS,
+        DEFAULT_SIMULATIONS,
         "how many futures the planner simulates before each decision of a kamikaze",
         within=(1, 100_000),
         commands=COMMANDS,
         marks=(PLANNING,),
     )
-    objective: adversary.Objective = option(
-        adversary.Objective.PAPER,
+    objective: Objective = option(
+        Objective.PAPER,
         "what kamikazes are rewarded for: deviation (a small one), paper (an early collision), frechet (a small "
         "Fréchet distance), or both: deviation, then paper",
-        choices=Names((adversary.BOTH,), adversary.OBJECTIVES),
-        assessed=adversary.BOTH,
+        choices=Names((BOTH,), OBJECTIVES),
+        assessed=BOTH,
     )
     particles: int | None = option(
         None,
@@ -273,9 +284,9 @@ class EpisodeOptions:
         return CarUnderTest(self.controller, self.multiplier, self.name)
 
     @property
-    def resolved_adversary_model(self) -> adversary.AdversaryModel:
+    def resolved_adversary_model(self) -> AdversaryModel:
         """What the adversary plans with: `adversary_model`, or what is implied where that is None."""
-        return self.adversary_model or adversary.default_adversary_model(self.car, self.car_model)
+        return self.adversary_model or default_adversary_model(self.car, self.car_model)
 
 
 def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
@@ -333,7 +344,7 @@ def shared_options(source: EpisodeOptions) -> dict[str, Any]:
 def further_options(source: EpisodeOptions) -> dict[str, Any]:
     """Return, as plain data, the options that messages and results have no field for and that are not as by default."""
     known = {one.name: (one, getattr(source, one.name)) for one in options_of(EpisodeOptions) if one.name not in FIELDS}
-    if source.adversary_model == adversary.default_adversary_model(source.car, source.car_model):
+    if source.adversary_model == default_adversary_model(source.car, source.car_model):
         del known["adversary_model"]
     return {name: one.plain(value) for name, (one, value) in known.items() if value != one.default}
 

@@ -66,11 +66,7 @@ NAMED_FORMATS = {
         "geometry_msgs/msg/AccelStamped", "accel.linear.x", Quantity.ACCELERATION, steering="accel.angular.z"
     ),
     "twist_stamped": CommandFormat(
-        "geometry_msgs/msg/TwistStamped",
-        "twist.linear.x",
-        Quantity.SPEED,
-        steering="twist.angular.z",
-        is_yaw_rate=True,
+        "geometry_msgs/msg/TwistStamped", "twist.linear.x", Quantity.SPEED, steering="twist.angular.z", is_yaw_rate=True
     ),
     "twist": CommandFormat(
         "geometry_msgs/msg/Twist", "linear.x", Quantity.SPEED, steering="angular.z", is_yaw_rate=True

@@ -21,7 +21,7 @@ from skd_sim.controllers.controller import (
     sight_of,
 )
 from skd_sim.errors import NoNumberError, UsageError
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.options.options import option
 from skd_sim.ros import from_messages
 from skd_sim.ros.support import STREAM, EpisodeFollower, GraphNode, Moments, Topic, declare, run_node
@@ -33,9 +33,7 @@ class _ControllerOptions:
     """The table of the node's parameters."""
 
     controller: str = option(
-        "",
-        "basic, cal, carla, rss, …, or package.module:Class",
-        unset="the one that the episode names",
+        "", "basic, cal, carla, rss, …, or package.module:Class", unset="the one that the episode names"
     )
     multiplier: float = option(
         -1.0, "C of the basic controller; negative: the one that the episode names", within=(-1.0, 100.0)

@@ -17,7 +17,7 @@ import numpy as np
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OneOf, OnLane, YesNo, limits, read_model
-from skd_sim.options.car_under_test import BASIC, DYNAMICS
+from skd_sim.options.car_and_adversary import BASIC, DYNAMICS
 from skd_sim.scenario.ending import NOWHERE, Ending, Endings, ending_of
 from skd_sim.scenario.lanes import with_absolute_keys, without_lanes
 from skd_sim.scenario.road import HEADING_NORTH, ONCOMING, Road, right_and_along, road_pose

@@ -20,7 +20,7 @@ from skd_sim.controllers.controller import failed
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
-from skd_sim.options.car_under_test import SIMULATORS, is_own_world
+from skd_sim.options.car_and_adversary import SIMULATORS, is_own_world
 from skd_sim.options.registry import reason_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, CommandLimits, as_pair

@@ -16,7 +16,7 @@ from enum import IntEnum, StrEnum
 import numpy as np
 
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import check_adversary_model
+from skd_sim.options.car_and_adversary import check_adversary_model
 from skd_sim.options.options import EpisodeOptions
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.scenario import Scenario

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from skd_sim.inputs.files import one_line
-from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
-from skd_sim.options.car_under_test import BASIC, DYNAMICS, WORLD
+from skd_sim.options.car_and_adversary import BASIC, DYNAMICS, RANKING_OBJECTIVES, SKD_OBJECTIVES, WORLD, first_of
 from skd_sim.options.options import FIELDS, PLANNING, EpisodeOptions, options_of
 
 from skd_evaluator.assessment.figure_table import Of, keys_of

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from skd_adversary.adversary import BelievedCar
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, until_contact
 from skd_sim.world.state import FloatArray, IntArray, Trajectory

@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, real_path
-from skd_sim.options.adversary import Objective
+from skd_sim.options.car_and_adversary import Objective
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.start import installing
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

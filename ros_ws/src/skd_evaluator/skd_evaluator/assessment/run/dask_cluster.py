@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from skd_sim.controllers.isolated import CALL_LIMIT, end_children, set_call_limit
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.options.car_and_adversary import CONTROLLERS, CarUnderTest
 from skd_sim.start import installing
 from skd_sim.world.episode import AbortKind, EpisodeSpec, abort_reason
 

@@ -33,7 +33,7 @@ from skd_sim.controllers.controller import (
 from skd_sim.controllers.isolated import isolated
 from skd_sim.inputs.yaml_file import short
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import DYNAMICS, CarUnderTest, is_own_world
 from skd_sim.scenario.road import HEADING_NORTH, beyond, is_straight_north
 from skd_sim.simulators.simulator import NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.contact import sweep

@@ -39,7 +39,7 @@ from skd_sim.controllers.isolated import (
 )
 from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
-from skd_sim.options.car_under_test import CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 

@@ -34,8 +34,7 @@ from skd_adversary.car_models.fit import learn_car
 from skd_adversary.car_models.observations import RecordedEpisode, observe
 from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective
-from skd_sim.options.car_under_test import SIMULATORS
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, SIMULATORS, AdversaryModel, Objective
 from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome

@@ -21,7 +21,7 @@ import numpy as np
 from skd_sim.controllers.controller import with_control_period
 from skd_sim.controllers.isolated import CALL_LIMIT
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import EXTERNAL, is_own_world
+from skd_sim.options.car_and_adversary import EXTERNAL, is_own_world
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import make_simulator

@@ -16,7 +16,7 @@ import numpy as np
 from skd_adversary.adversary import warm_up_episodes
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import is_kept
-from skd_sim.options.car_under_test import is_own_world
+from skd_sim.options.car_and_adversary import is_own_world
 from skd_sim.scenario.scenario import FREE, OCCUPIED, with_oncoming_lane
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode

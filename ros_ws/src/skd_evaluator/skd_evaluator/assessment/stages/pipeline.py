@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Final
 
 from skd_adversary.adversary import any_car_models, warm_up_episodes
-from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.options.registry import Registry
 from skd_sim.world.episode import EpisodeSpec
 

@@ -18,8 +18,7 @@ from skd_sim.controllers.controller import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
 from skd_sim.kernels.compilation import cache_folder
-from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.car_under_test import REFERENCE_DRIVERS, WORLD, CarUnderTest
+from skd_sim.options.car_and_adversary import REFERENCE_DRIVERS, WORLD, AdversaryModel, CarUnderTest
 from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import is_own_world
+from skd_sim.options.car_and_adversary import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Role, generator
 from skd_sim.world.state import FloatArray, IntArray

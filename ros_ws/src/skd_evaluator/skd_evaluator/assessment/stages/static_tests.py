@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from skd_sim.options.car_under_test import CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import CarUnderTest, is_own_world
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import REGULATORY

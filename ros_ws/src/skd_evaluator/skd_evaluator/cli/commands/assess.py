@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 
 from skd_evaluator.cli.arguments import DETAILS, Parser, parameters_of, positive_number, rare
 from skd_evaluator.cli.gate import add_gate_arguments, gate_of

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import ControllerName
+from skd_sim.options.car_and_adversary import ControllerName
 
 from skd_evaluator.cli.arguments import Parser, positive_number, rare, real_number, result_folder
 from skd_evaluator.cli.gate import add_limits, limit_failures, limits_of

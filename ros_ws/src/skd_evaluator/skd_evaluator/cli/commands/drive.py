@@ -134,7 +134,7 @@ def _plan_and_graph(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
         UsageError: some options do not go together.
     """
     from skd_adversary.safe_trajectories.sources import count_safe_trajectories
-    from skd_sim.options.adversary import AdversaryModel
+    from skd_sim.options.car_and_adversary import AdversaryModel
     from skd_sim.options.options import REAL_TIME, options_of, values_of
 
     from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for

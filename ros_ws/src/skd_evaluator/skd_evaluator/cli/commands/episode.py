@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import OBJECTIVES
+from skd_sim.options.car_and_adversary import OBJECTIVES
 
 from skd_evaluator.assessment.options import AssessmentOptions, CampaignOptions
 from skd_evaluator.cli.arguments import Parser, graph_options, positive_number, rare, result_folder

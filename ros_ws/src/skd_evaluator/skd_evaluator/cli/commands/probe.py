@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skd_sim.options.car_under_test import CarUnderTest, is_own_world
+from skd_sim.options.car_and_adversary import CarUnderTest, is_own_world
 
 from skd_evaluator.cli.arguments import Parser, graph_options, result_folder, runner_of
 from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish, say

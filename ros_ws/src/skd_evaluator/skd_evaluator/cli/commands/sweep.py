@@ -71,7 +71,7 @@ def _folder_name(multiplier: float) -> str:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     from skd_sim.controllers.basic import PAPER_MULTIPLIERS
-    from skd_sim.options.adversary import objectives_named
+    from skd_sim.options.car_and_adversary import objectives_named
 
     from skd_evaluator.assessment.assessment import Assessment
     from skd_evaluator.assessment.context import Context

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 
 from skd_evaluator.cli.arguments import Parser
 from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish

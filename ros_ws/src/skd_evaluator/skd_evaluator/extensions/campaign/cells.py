@@ -32,8 +32,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, is_there
 from skd_sim.inputs.model import Frozen, read_model
 from skd_sim.inputs.yaml_file import read_yaml, short
-from skd_sim.options.adversary import OBJECTIVES, Objective, objectives_named
-from skd_sim.options.car_under_test import SIMULATORS, CarUnderTest
+from skd_sim.options.car_and_adversary import OBJECTIVES, SIMULATORS, CarUnderTest, Objective, objectives_named
 from skd_sim.options.options import option, options_of, read_options, values_of
 from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS, is_named
 from skd_sim.simulators.simulator import make_simulator

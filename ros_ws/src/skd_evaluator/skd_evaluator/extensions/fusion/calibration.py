@@ -25,7 +25,7 @@ from scipy import special
 from scipy.optimize import least_squares
 from skd_adversary.safe_trajectories.recordings import interpolated
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
+from skd_sim.options.car_and_adversary import DYNAMICS, CarUnderTest
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.simulators.simulator import Frame, WorldSimulator

@@ -12,7 +12,7 @@ from pathlib import Path
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.inputs.yaml_file import to_yaml
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.run.workers import available_workers, check_controller

@@ -54,7 +54,7 @@ def add_log(parser: Parser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    from skd_sim.options.car_under_test import CarUnderTest
+    from skd_sim.options.car_and_adversary import CarUnderTest
     from skd_sim.scenario.scenario import load_scenario
 
     from skd_evaluator.assessment.files.result_folder import write_json

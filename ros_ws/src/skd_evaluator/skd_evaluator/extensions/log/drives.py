@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import savgol_filter
-from skd_adversary.safe_trajectories.citr import FRAME_RATE, Clip, ClipTrack, is_citr, read_clips
 from skd_adversary.safe_trajectories.recordings import header_of
+from skd_adversary.safe_trajectories.sources import FRAME_RATE, Clip, ClipTrack, is_citr, read_clips
 from skd_sim.errors import UsageError
 from skd_sim.world.state import FloatArray
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import yaml
 from skd_sim.controllers.isolated import isolated
-from skd_sim.options.adversary import AdversaryModel
-from skd_sim.options.car_under_test import CarUnderTest, ControllerName
+from skd_sim.options.car_and_adversary import AdversaryModel, CarUnderTest, ControllerName
 from skd_sim.world.episode import EpisodeSpec, Mode
 
 from skd_evaluator.assessment.context import Progress

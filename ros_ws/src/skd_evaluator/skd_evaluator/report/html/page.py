@@ -11,7 +11,7 @@ from shlex import join
 from typing import Any
 
 from skd_sim.inputs.yaml_file import to_yaml
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_and_adversary import CarUnderTest
 from skd_sim.world.episode import Mode
 
 from skd_evaluator import palette

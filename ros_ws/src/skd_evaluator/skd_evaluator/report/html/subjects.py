@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json, real_path
-from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
+from skd_sim.options.car_and_adversary import RANKING_OBJECTIVES, first_of
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Mode, Outcome

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from skd_adversary.safe_trajectories.citr import FRAME_RATE, is_citr, read_clips, world_frame
 from skd_adversary.safe_trajectories.recordings import LONGEST_HOLE, check_once, read_table, resample
-from skd_adversary.safe_trajectories.sources import check_track
+from skd_adversary.safe_trajectories.sources import FRAME_RATE, check_track, is_citr, read_clips, world_frame
 from skd_sim.errors import UsageError
 from skd_sim.world.state import FloatArray, Trajectory
 

@@ -443,6 +443,5 @@ class MetaDriveFrames:
         self.position_error = max(self.position_error, error)
         if not error <= _POSITION_ERROR:
             raise SimulatorError(
-                AbortKind.FAILED,
-                f"MetaDrive has the adversary {error:.3g} m from where it was commanded to be",
+                AbortKind.FAILED, f"MetaDrive has the adversary {error:.3g} m from where it was commanded to be"
             )

@@ -19,7 +19,7 @@ import numpy as np
 
 from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.stream import stream_of
-from skd_sim.options.car_under_test import DYNAMICS
+from skd_sim.options.car_and_adversary import DYNAMICS
 from skd_sim.options.registry import load
 from skd_sim.scenario.road import advanced, is_straight_north, road_curvature, road_pose, road_position
 from skd_sim.scenario.scenario import Car, Scenario
