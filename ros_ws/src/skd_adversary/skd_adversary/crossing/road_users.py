@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 from skd_sim.errors import UsageError
@@ -160,10 +159,6 @@ class _Walker(_Pedestrian):
         return nearest_walked(parameters.own_change, vx, vy, x, y)
 
 
-def _walker_parameters_of(acceleration: float, scenario: Scenario) -> Mapping[str, Any]:
-    return {"own_change": acceleration * scenario.time_step}
-
-
 def walker(name: str, acceleration: float, **about: Any) -> RoadUserModel:
     """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most.
 
@@ -172,7 +167,7 @@ def walker(name: str, acceleration: float, **about: Any) -> RoadUserModel:
         acceleration: m/s².
         about: `fastest`, `height`, and perhaps `mass` and `names` of a `RoadUserModel`.
     """
-    return RoadUserModel(name, _Walker, partial(_walker_parameters_of, acceleration), **about)
+    return RoadUserModel(name, _Walker, lambda scenario: {"own_change": acceleration * scenario.time_step}, **about)
 
 
 # --- on wheels, whose part of a state is heading (rad) and speed (m/s)
@@ -350,22 +345,22 @@ class _Wheeled(RoadUserKernels):
         return first_contact_of_boxes(before, after, turned, (p.front, p.rear, p.half_width), own)
 
 
-def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[str, Any]:
-    """Return limits, half of the box's length and of its width (m), and how it comes without φ."""
-    adversary = scenario.adversary
-    _, half_length, half_width = adversary.shape
-    return {
-        "own_limits": limits,
-        "own_half_length": half_length,
-        "own_half_width": half_width,
-        "own_heading": adversary.first_heading,
-        "own_speed": adversary.speed if adversary.start_speed is None else adversary.start_speed,
-    }
-
-
 def wheeled(name: str, limits: RidingLimits, **about: Any) -> RoadUserModel:
     """Return a kind of road user on wheels, by its limits; further arguments as of `walker`."""
-    return RoadUserModel(name, _Wheeled, partial(_wheeled_parameters_of, limits), **about)
+
+    def parameters(scenario: Scenario) -> Mapping[str, Any]:
+        """Return limits, half of the box's length and of its width (m), and how it comes without φ."""
+        adversary = scenario.adversary
+        _, half_length, half_width = adversary.shape
+        return {
+            "own_limits": limits,
+            "own_half_length": half_length,
+            "own_half_width": half_width,
+            "own_heading": adversary.first_heading,
+            "own_speed": adversary.speed if adversary.start_speed is None else adversary.start_speed,
+        }
+
+    return RoadUserModel(name, _Wheeled, parameters, **about)
 
 
 # --- the kinds that there are: those on foot weigh as the dummies Hybrid III of a man and of a child of six, and a man

@@ -74,16 +74,12 @@ class GraphAdversary:
             east, north = self._adversary.act(car)
             self._answer = stamp, (float(east), float(north))
             self._next_tick = tick + 1
-            self._publish_belief(stamp)
+            if isinstance(self._adversary, PlanningAdversary) and self._believed.get_subscription_count():
+                self._believed.publish(belief_to_odometry(self._adversary.believed_car, self._episode, stamp))
         velocity = self._answer[1]
         if self._command.get_subscription_count():
             self._command.publish(velocity_command(velocity, stamp))
         return velocity
-
-    def _publish_belief(self, stamp: int) -> None:
-        """Publish where the adversary believes the car to be, if a node listens and it believes anything."""
-        if isinstance(self._adversary, PlanningAdversary) and self._believed.get_subscription_count():
-            self._believed.publish(belief_to_odometry(self._adversary.believed_car, self._episode, stamp))
 
 
 class AdversaryNode(GraphNode):
@@ -100,14 +96,11 @@ class AdversaryNode(GraphNode):
         if declare(self, *TABLES)["warm_up"] and make is make_adversary:
             warm_up()
         self.adversary = GraphAdversary(self, make=make)
-        self._follower = EpisodeFollower(self, message_to_episode, self._on_begin, self._on_frame)
+        self._follower = EpisodeFollower(self, message_to_episode, self.adversary.begin, self._on_frame)
         self.create_subscription(Odometry, Topic.EGO_ODOMETRY, self._on_odometry, STREAM)
 
     def _on_odometry(self, message: Odometry) -> None:
         self._follower.deliver(from_stamp(message.header.stamp), odometry_to_car(message))
-
-    def _on_begin(self, episode: EpisodeSpec) -> None:
-        self.adversary.begin(episode)
 
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
         if not period:  # the car decides in between, the adversary does not

@@ -22,7 +22,7 @@ import numpy as np
 
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import CarState, FloatArray, RoadUserState, Scene, Triple, to_body
+from skd_sim.world.state import CarState, FloatArray, Scene, to_body
 
 PERIOD = 0.1  # s between two decisions, as in the JRC's code
 GRAVITY = 9.81  # m/s²
@@ -130,30 +130,29 @@ class ReferenceDriver(ABC):
         users = (scene.adversary, *scene.others)
         places = [road_position(self._line, one.x, one.y) for one in users]
         self._first = self._first or [abs(left - side) for _, left in places]
-        return [
-            self._situation(along - here, left - side, first, car.speed, one, shape, along)
-            for (along, left), first, one, shape in zip(places, self._first, users, self._shapes, strict=True)
-            if along - here > self._middle
-        ]
-
-    def _situation(
-        self, ahead: float, left: float, first: float, speed: float, user: RoadUserState, shape: Triple, along: float
-    ) -> RelativeState:
-        radius, half_length, half_width = shape
-        _, _, heading = road_pose(self._line, along)
-        cos, sin = abs(math.cos(user.heading - heading)), abs(math.sin(user.heading - heading))
-        half_along = radius or half_length * cos + half_width * sin
-        half_across = radius or half_length * sin + half_width * cos
-        lead, to_left = to_body(user.vx, user.vy, heading)
-        return RelativeState(
-            gap=ahead - self._front - half_along,
-            length=self._length + 2.0 * half_along,
-            aside=abs(left) - self._half_width - half_across,
-            speed=speed,
-            lead=lead,
-            closing=-math.copysign(1.0, left) * to_left,
-            strayed=first - abs(left),
-        )
+        found = []
+        for (along, left), first, one, shape in zip(places, self._first, users, self._shapes, strict=True):
+            if along - here <= self._middle:
+                continue
+            radius, half_length, half_width = shape
+            _, _, heading = road_pose(self._line, along)
+            cos, sin = abs(math.cos(one.heading - heading)), abs(math.sin(one.heading - heading))
+            half_along = radius or half_length * cos + half_width * sin
+            half_across = radius or half_length * sin + half_width * cos
+            lead, to_left = to_body(one.vx, one.vy, heading)
+            beside = left - side
+            found.append(
+                RelativeState(
+                    gap=along - here - self._front - half_along,
+                    length=self._length + 2.0 * half_along,
+                    aside=abs(beside) - self._half_width - half_across,
+                    speed=car.speed,
+                    lead=lead,
+                    closing=-math.copysign(1.0, beside) * to_left,
+                    strayed=first - abs(beside),
+                )
+            )
+        return found
 
 
 class CarefulDriver(ReferenceDriver):
