@@ -148,10 +148,4 @@ carla_bridge = partial(start, "skd_sim.ros.carla_bridge")
 adversary = partial(start, "skd_adversary.ros.adversary_node")
 
 if __name__ == "__main__":
-    programs: dict[str, Callable[[], int]] = {
-        "vehicle_simulator": vehicle_simulator,
-        "car_controller": car_controller,
-        "carla_bridge": carla_bridge,
-        "adversary": adversary,
-    }
-    sys.exit(start_named(programs))
+    sys.exit(start_named(globals()))

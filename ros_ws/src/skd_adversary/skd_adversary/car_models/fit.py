@@ -92,7 +92,7 @@ def fit_with_law(
     if seen.episodes < 2 or len(seen) < LEAST_LOGS:
         why = f"only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
         return replace(car, parameters=counts.unknown(why, *(one for one in PARAMETERS if one not in OPTIONAL))), None
-    change, _, _ = speed_change.fit_speed_change(seen)
+    change = speed_change.fit_speed_change(seen)
     if change.weights[1] <= 0.0:
         counts = replace(counts, free=len(seen))
         unknown = counts.unknown(counts.why_not_braking(), *_OF_BRAKING)

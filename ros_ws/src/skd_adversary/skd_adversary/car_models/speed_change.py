@@ -243,8 +243,8 @@ def acceleration_line(data: Observations) -> tuple[float, float, FloatArray]:
     return float(solution[0]), float(solution[1]), np.asarray(variance * np.linalg.inv(design.T @ design))
 
 
-def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float]:
-    """Return the likeliest parameters, the modes' responsibilities (free, braking, neither; 3 × n), log-likelihood.
+def fit_speed_change(data: Observations) -> SpeedChange:
+    """Return the likeliest parameters.
 
     Braking, and a pull towards a cruise speed, are kept only where the Bayesian information criterion pays for their
     parameters; a car that never brakes has the weight 0 for it.
@@ -255,7 +255,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
     p, responsibility, value = _likeliest(data, SpeedChange(0.05, 3.5, 0.1))
     calm, calm_value = _without_braking(data)
     if value - calm_value < 1.5 * np.log(len(data)) + 3.0:  # two parameters and a weight, and a choice among ticks
-        return calm, np.stack([np.ones(len(data)), np.zeros(len(data)), np.zeros(len(data))]), calm_value
+        return calm
     pulled = _pulled(p, data, (responsibility[0] > 0.5) | (responsibility[2] > 0.5))
     if pulled.gain > 0.0:
         free = np.abs(free_residual(pulled, data)) / np.maximum(data.speed, MOVING)
@@ -263,17 +263,17 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
         if not rows.any():  # all was taken for something else than driving freely, and is pulled none the less
             rows = responsibility[2] > 0.5
         pulled = pulled._replace(speed_noise=float(np.quantile(free[rows], 0.99)))
-        other = _polish(pulled, data)
-        if other[2] - value > np.log(len(data)):
-            p, responsibility, value = other
+        other, _, other_value = _polish(pulled, data)
+        if other_value - value > np.log(len(data)):
+            p, value = other, other_value
     # Where speeding up and braking look alike, what the car does undisturbed distinguishes them.
     sure = (data.gap < -data.car_length) | (data.gap > _FAR)  # no road user is near in front, whatever its law
     if _clearly_pulled(p, data, sure):
         pulled = _pulled(SpeedChange(0.05, 3.5, 0.1), data, sure)
-        other = _likeliest(data, pulled)
-        if other[2] - value > 1.5 * np.log(len(data)):
-            p, responsibility, value = other
-    return p, responsibility, value
+        other, _, other_value = _likeliest(data, pulled)
+        if other_value - value > 1.5 * np.log(len(data)):
+            return other
+    return p
 
 
 def _without_braking(data: Observations) -> tuple[SpeedChange, float]:
@@ -289,6 +289,7 @@ def _likeliest(data: Observations, base: SpeedChange) -> tuple[SpeedChange, Floa
 
 
 def _polish(p: SpeedChange, data: Observations) -> tuple[SpeedChange, FloatArray, float]:
+    """Return parameters near others that are likeliest, the modes' responsibilities (3 × n), and log-likelihood."""
     value, weights, responsibility = _mixture(densities(p, data), 20)
     for _ in range(4):
         p = _refine_noise(p._replace(weights=weights), data)

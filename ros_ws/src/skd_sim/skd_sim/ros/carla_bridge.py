@@ -285,7 +285,11 @@ class CarlaFrames:
         self._at, self._height = adversary, self._settings["crossing_z"]
         while True:
             self._put_staged()
-            self._put_both(car, adversary)
+            self._put(self._settings["ego_role"], car.x, car.y, car.heading, self._settings["crossing_z"])
+            twist = Twist()
+            twist.linear.x = car.speed
+            self._car_twist.publish(twist)
+            self._put(self._settings["adversary_role"], adversary.x, adversary.y, adversary.heading, self._height)
             self.control(0.0, 0.0, (0.0, 0.0))
             now = self._next_frame(begun, limit, AbortKind.NOT_STARTED, "CARLA to put both actors in place")
             if all(math.dist(there[:2], start[:2]) <= tolerance for there, start in zip(now, starts, strict=True)):
@@ -344,13 +348,6 @@ class CarlaFrames:
         place = self._at.x + self.frame_step * vx, self._at.y + self.frame_step * vy
         self._at = AdversaryState(*place, vx, vy, heading)
         self._put(self._settings["adversary_role"], *place, heading, self._height)
-
-    def _put_both(self, car: CarState, adversary: AdversaryState) -> None:
-        self._put(self._settings["ego_role"], car.x, car.y, car.heading, self._settings["crossing_z"])
-        twist = Twist()
-        twist.linear.x = car.speed
-        self._car_twist.publish(twist)
-        self._put(self._settings["adversary_role"], adversary.x, adversary.y, adversary.heading, self._height)
 
     def _publisher(self, role: str) -> Any:
         """Return the publisher of an actor's pose, by its role name."""

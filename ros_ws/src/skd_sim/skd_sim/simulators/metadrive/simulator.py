@@ -14,7 +14,7 @@ import importlib.util
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -85,23 +85,11 @@ CONTROL_PERIOD: Final = 0.1
 _LAYERS: Final = ("fc_1", "fc_2", "fc_out")
 _MIRRORED: Final = (10, 15)  # of the observation: MetaDrive turned its axes after the training (`obs_correction`)
 
-Weights = tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...]
-
-
-class Distribution(NamedTuple):
-    """From what it draws steering and pedal, each before it is clipped to [−1, 1].
-
-    Attributes:
-        mean: means, of 2.
-        deviation: standard deviations, of 2.
-    """
-
-    mean: npt.NDArray[np.float32]
-    deviation: npt.NDArray[np.float32]
+Floats = npt.NDArray[np.float32]
 
 
 @functools.cache
-def expert_weights() -> Weights:
+def expert_weights() -> tuple[tuple[Floats, Floats], ...]:
     """Return the weights of the network's layers, as MetaDrive's wheel has them.
 
     Raises:
@@ -117,8 +105,8 @@ def expert_weights() -> Weights:
         )
 
 
-def distribution(observation: npt.NDArray[np.float32]) -> Distribution:
-    """Return from what the expert draws its decision.
+def distribution(observation: Floats) -> tuple[Floats, Floats]:
+    """Return means and standard deviations from which the expert draws steering and pedal, before both are clipped.
 
     Args:
         observation: what MetaDrive's `LidarStateObservation` says of its car, of 275.
@@ -131,7 +119,7 @@ def distribution(observation: npt.NDArray[np.float32]) -> Distribution:
     for weights, offset in hidden:
         layer = np.tanh(np.matmul(layer, weights) + offset)
     mean, log_deviation = np.split((np.matmul(layer, kernel) + bias).reshape(-1), 2)
-    return Distribution(mean, np.exp(log_deviation))
+    return mean, np.exp(log_deviation)
 
 
 class MetaDriveExpert:
