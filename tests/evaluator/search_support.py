@@ -61,4 +61,4 @@ def touching(walked: list[tuple[float, float]], contact: Contact | None) -> np.n
 
 def place(world: World, car: CarState, adversary: AdversaryState, tick: int) -> None:
     world.car, world.adversary, world.tick = car, adversary, tick
-    world._dynamics.reset(car)
+    world.dynamics.reset(car)

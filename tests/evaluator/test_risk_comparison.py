@@ -202,8 +202,8 @@ class WatchedWorld(WorldSimulator):
 
     def reset(self, episode: EpisodeSpec) -> Frame:
         frame = super().reset(episode)
-        self.driven = Driven(self._world._dynamics)
-        self._world._dynamics = self.driven
+        self.driven = Driven(self.world.dynamics)
+        self.world.dynamics = self.driven
         return frame
 
     def course(self) -> tuple[np.ndarray, np.ndarray]:

@@ -61,7 +61,11 @@ class Adversary(Protocol):
 
 
 class PlanningAdversary:
-    """Plans by a POMDP: senses the car through noise, updates its belief, searches."""
+    """Plans by a POMDP: senses the car through noise, updates its belief, searches.
+
+    Attributes:
+        belief: what it believes now.
+    """
 
     def __init__(self, episode: EpisodeSpec) -> None:
         """Prepare for an episode, safe or kamikaze.
@@ -99,24 +103,19 @@ class PlanningAdversary:
         self._phi = path_velocities(phi, len(phi), scenario.time_step).tolist()  # the last: it stands at its end
         self._action: int | None = None
         rng = generator(episode.seed, episode.episode_id, Role.PLANNER)
-        self._belief = ParticleBelief(model, particles, rng)
+        self.belief = ParticleBelief(model, particles, rng)
         options = replace(objective.options, simulations=episode.simulations, particles=particles)
         self._planner = Planner(model, options, rng)
 
     @property
     def depletions(self) -> int:
         """How often no particle explained what was seen."""
-        return self._belief.depletions
-
-    @property
-    def belief(self) -> ParticleBelief:
-        """What it believes now."""
-        return self._belief
+        return self.belief.depletions
 
     @property
     def believed_car(self) -> BelievedCar:
         """Where it believed the car to be, and how fast, when it decided last."""
-        return BelievedCar(*self._belief.moments(CAR_S), *self._belief.moments(CAR_SPEED))
+        return BelievedCar(*self.belief.moments(CAR_S), *self.belief.moments(CAR_SPEED))
 
     def _sense(self, car: CarState) -> FloatArray:
         return self._sensor.sense(self._scenario, self._position, car, self._sensor_rng)
@@ -125,11 +124,11 @@ class PlanningAdversary:
         """Sense, update the belief, plan; see `Adversary.act`."""
         seen = self._sense(car)
         if self._action is not None:
-            self._belief.predict(self._action)
+            self.belief.predict(self._action)
             self._planner.advance(self._action, seen)
-        self._belief.correct(self._road_user.rest if self._action is None else self._action, seen)
-        self._action = self._planner.plan(self._belief)
-        step, own = self._scenario.time_step, self._belief.particles[0]  # all of them have the road user's own state
+        self.belief.correct(self._road_user.rest if self._action is None else self._action, seen)
+        self._action = self._planner.plan(self.belief)
+        step, own = self._scenario.time_step, self.belief.particles[0]  # all of them have the road user's own state
         if self._action == self._road_user.action_count:  # as φ
             vx, vy = self._possible(self._parameters, own, *self._phi[min(self._tick, len(self._phi) - 1)])
         else:

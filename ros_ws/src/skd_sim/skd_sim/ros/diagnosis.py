@@ -46,11 +46,6 @@ class Publisher(NamedTuple):
     kind: str
     quality: QoSProfile
 
-    @property
-    def named(self) -> bool:
-        """Whether its node's name has come already."""
-        return _UNKNOWN not in self.name
-
 
 def living_publishers(node: Node, topic: str) -> list[Publisher]:
     """Return the publishers of a topic, sorted by name.
@@ -87,7 +82,7 @@ def second_publisher(node: Node, topic: str) -> str | None:
     if node.count_publishers(topic) < 2 or len(publishers := living_publishers(node, topic)) < 2:
         return None
     latest = time.monotonic() + _NAMING
-    while not all(one.named for one in publishers) and time.monotonic() < latest:
+    while any(_UNKNOWN in one.name for one in publishers) and time.monotonic() < latest:
         time.sleep(0.01)
         publishers = living_publishers(node, topic)
     names = [*(one.name for one in publishers), "one that is gone", "another that is gone"][: max(2, len(publishers))]

@@ -112,7 +112,11 @@ def require_others(simulator: object, name: str, episode: EpisodeSpec) -> None:
 
 
 class WorldSimulator:
-    """SKD's own world; see `Simulator`."""
+    """SKD's own world; see `Simulator`.
+
+    Attributes:
+        world: world of the running episode, to be looked at and not to be changed.
+    """
 
     places_others: Final = True
     """Whether the others of a scenario are there: of a simulator that does not say so, they are not."""
@@ -120,12 +124,12 @@ class WorldSimulator:
     def reset(self, episode: EpisodeSpec) -> Frame:
         """Make the world of an episode, with all that is drawn for it."""
         self._episode = episode
-        self._world = make_world(episode)
-        return Frame(0, self._world.car, self._world.adversary)
+        self.world = make_world(episode)
+        return Frame(0, self.world.car, self.world.adversary)
 
     def step(self, command: Command, velocity: Pair) -> Frame:
         """Advance the world by one control period."""
-        world = self._world
+        world = self.world
         contact = world.step(command, velocity)
         if world.period:
             return Frame(world.tick, world.car, world.adversary, period=world.period)
@@ -133,14 +137,9 @@ class WorldSimulator:
         return Frame(world.tick, world.car, world.adversary, contact, outcome)
 
     @property
-    def world(self) -> World:
-        """World of the running episode, to be looked at and not to be changed."""
-        return self._world
-
-    @property
     def clipped(self) -> int:
         """How many commands of this episode were beyond what the car can do."""
-        return self._world.clipped
+        return self.world.clipped
 
 
 _Result = TypeVar("_Result")

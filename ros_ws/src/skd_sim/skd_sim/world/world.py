@@ -36,6 +36,7 @@ class World:
         period: number of control periods taken since the last tick.
         limits: of the commands that the car can follow.
         clipped: how many commands were beyond these limits.
+        dynamics: dynamics of the car, as they are now.
     """
 
     def __init__(
@@ -66,14 +67,9 @@ class World:
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
-        self._dynamics = make_dynamics(scenario)
-        self._dynamics.reset(self.car)
+        self.dynamics: CarDynamics = make_dynamics(scenario)
+        self.dynamics.reset(self.car)
         self._origin = self.adversary  # where the adversary was when the tick began
-
-    @property
-    def dynamics(self) -> CarDynamics:
-        """Dynamics of the car, as they are now."""
-        return self._dynamics
 
     @property
     def time(self) -> float:
@@ -107,10 +103,10 @@ class World:
 
     def _advance(self, command: Pair) -> FloatArray:
         if self.period == 0:
-            self._noise = self._dynamics.draw(self._rng)
+            self._noise = self.dynamics.draw(self._rng)
         periods = self.scenario.control_periods
         noise = Noise(self._noise.speed / periods, self._noise.acceleration)
-        path = self._dynamics.advance(command, self.scenario.time_step / periods, noise)
+        path = self.dynamics.advance(command, self.scenario.time_step / periods, noise)
         self.car = CarState(*path[-1].tolist())
         return path
 
@@ -136,7 +132,7 @@ class World:
             others = self.scenario.others_at(self.tick), self.scenario.others_at(self.tick + 1)
             moves += [(one[:2], then[:2], then[2:4], then.heading) for one, then in zip(*others, strict=True)]
         contact = first_contact_of(self.scenario, path, moves, step, period, periods)
-        if self._dynamics.steered:
+        if self.dynamics.steered:
             contact = min(contact, road_left(self.scenario, path, period, periods))
         counts = contact.fraction <= 1.0
         if not counts and period < periods - 1:
