@@ -8,7 +8,7 @@ from skd_evaluator.assessment.episode_figures import command_age, missed_periods
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, split_episode_id
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, load_scenario
 from skd_sim.options.car_and_adversary import Objective
-from skd_sim.world.timing import Timing
+from skd_sim.world.episode import Timing
 from stages import rate
 from test_campaign import StubRunner, straight
 from test_warnings import shown

@@ -15,7 +15,7 @@ from skd_evaluator import AssessmentError, Plan
 from skd_evaluator.assessment.files import episode_store
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, UsageError, load_scenario
 from skd_sim.options.car_and_adversary import AdversaryModel, Objective
-from skd_sim.world.timing import Timing
+from skd_sim.world.episode import Timing
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")

@@ -24,8 +24,7 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros import support
 from skd_sim.ros.commands import message_class
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
-from skd_sim.world.timing import NANOSECONDS
+from skd_sim.world.episode import NANOSECONDS, EpisodeLog, EpisodeSpec, Outcome
 
 RUNS, IDS = itertools.count(), itertools.count(1 << 20)
 _ANSWERS = (f"/{support.Topic.ACCELERATION_COMMAND}", f"/{support.Topic.VELOCITY_COMMAND}")

@@ -19,7 +19,7 @@ from skd_sim import EpisodeSpec, Frame, Mode, WorldSimulator, load_scenario
 from skd_sim.options.options import StateOptions
 from skd_sim.ros.from_messages import odometry_to_adversary
 from skd_sim.ros.simulator_node import StatePublisher
-from skd_sim.world.timing import period_stamp
+from skd_sim.world.episode import period_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 

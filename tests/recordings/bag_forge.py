@@ -15,8 +15,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from skd_sim.options.options import options_to_text
-from skd_sim.world.episode import EpisodeLog, controller_seed
-from skd_sim.world.timing import next_start, tick_stamp
+from skd_sim.world.episode import EpisodeLog, controller_seed, next_start, tick_stamp
 
 DEFINITIONS = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"

@@ -18,9 +18,8 @@ from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import FramedSimulator
 from skd_sim.world.dynamics.basic import CommandLimits
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome, Timing
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
-from skd_sim.world.timing import Timing
 
 Write = Callable[..., Path]
 Replay = Callable[..., Any]

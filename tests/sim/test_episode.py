@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from skd_sim import AdversaryState, EpisodeLog, EpisodeSpec, Mode, Outcome, Scenario, Trajectory, load_scenario
 from skd_sim.ros.commands import follow_speed
 from skd_sim.world.dynamics.basic import CommandLimits
+from skd_sim.world.episode import CommandAges, Schedule
 from skd_sim.world.state import braking_distance, heading_of, next_speed, on_grid, travelled
-from skd_sim.world.timing import CommandAges, Schedule
 
 CROSSING = load_scenario("crossing")  # path edge 1.15 m
 MEETING = load_scenario("citr_crossing")  # path edge 0.85 m

@@ -20,8 +20,7 @@ from skd_sim.ros.lockstep import (
     Start,
     WaitLimits,
 )
-from skd_sim.world.episode import AbortKind, kind_of
-from skd_sim.world.timing import period_stamp, tick_stamp
+from skd_sim.world.episode import AbortKind, kind_of, period_stamp, tick_stamp
 from skd_sim.world.world import Contact
 
 CROSSING = load_scenario("crossing")

@@ -13,8 +13,7 @@ from shapely import affinity
 from skd_sim import AdversaryState, CarState, EpisodeSpec, Mode, Scenario, load_scenario
 from skd_sim.scenario.road import Part, Road, road_pose, road_position
 from skd_sim.world.dynamics.basic import GRIP, command_limits
-from skd_sim.world.episode import Role, generator
-from skd_sim.world.timing import period_of, period_stamp, tick_stamp
+from skd_sim.world.episode import Role, generator, period_of, period_stamp, tick_stamp
 from skd_sim.world.world import World, make_world
 
 CROSSING = load_scenario("crossing")

@@ -176,12 +176,12 @@ class ObjectiveModel:
     plans_deviation: bool = False
 
 
-class _Part(type):
+class _KernelGroup(type):
     def __hash__(cls) -> int:  # said for mypy: a part is a key of what was compiled with it
         return super().__hash__()
 
 
-class CarKernels(metaclass=_Part):
+class CarKernels(metaclass=_KernelGroup):
     """How a kind of predicted car moves.
 
     Attributes:
@@ -207,7 +207,7 @@ class CarKernels(metaclass=_Part):
     own_dim: int
 
 
-class SensorModel(metaclass=_Part):
+class SensorModel(metaclass=_KernelGroup):
     """What is seen of the car, and how likely that is.
 
     Attributes:
@@ -225,7 +225,7 @@ class SensorModel(metaclass=_Part):
     sense: Callable[[Scenario, Pair, CarState, np.random.Generator], FloatArray]
 
 
-class RoadKernels(metaclass=_Part):
+class RoadKernels(metaclass=_KernelGroup):
     """The road that the car follows.
 
     Attributes:
@@ -250,7 +250,7 @@ class RoadKernels(metaclass=_Part):
     parameters: Callable[[Scenario], Mapping[str, Any]]
 
 
-class RoadUserKernels(metaclass=_Part):
+class RoadUserKernels(metaclass=_KernelGroup):
     """How road users of some kinds move, and how their bodies touch.
 
     Attributes:

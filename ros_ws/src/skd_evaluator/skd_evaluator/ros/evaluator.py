@@ -35,9 +35,18 @@ from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometr
 from skd_sim.ros.simulator_node import GraphSimulator
 from skd_sim.ros.to_messages import episode_to_message, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator
-from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, Outcome, abort_reason, kind_of
+from skd_sim.world.episode import (
+    NANOSECONDS,
+    AbortKind,
+    EpisodeLog,
+    EpisodeSpec,
+    Outcome,
+    abort_reason,
+    kind_of,
+    next_start,
+    tick_stamp,
+)
 from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.timing import NANOSECONDS, next_start, tick_stamp
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 

@@ -19,8 +19,7 @@ from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
 from skd_sim.ros import support
 from skd_sim.ros.to_messages import header
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
-from skd_sim.world.timing import tick_stamp
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, tick_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 

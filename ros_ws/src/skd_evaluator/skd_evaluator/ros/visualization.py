@@ -22,9 +22,8 @@ from skd_sim.ros.to_messages import header, to_orientation
 from skd_sim.scenario.road import Road
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.world.dynamics.basic import wheels
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
+from skd_sim.world.episode import CommandAges, EpisodeLog, EpisodeSpec, Outcome, period_of, tick_stamp
 from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.timing import CommandAges, period_of, tick_stamp
 from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 

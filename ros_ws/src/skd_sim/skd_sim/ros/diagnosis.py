@@ -22,7 +22,7 @@ from skd_sim.ros.commands import NAMED_FORMATS, message_class, number_paths
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.ros.lockstep import LEAD
 from skd_sim.ros.support import STREAM, Topic
-from skd_sim.world.timing import WALL_CLOCK, stamp_fault
+from skd_sim.world.episode import WALL_CLOCK, stamp_fault
 
 _FAST_DDS = (1, 15)  # vendor id of eProsima, with which its GUIDs begin
 _PREFIX = 12  # bytes of a GUID that are its participant's (RTPS 2.3, section 8.2.4)

@@ -14,10 +14,9 @@ import numpy as np
 from skd_sim.inputs.files import parse_json
 from skd_sim.options.options import FIELDS, options_from_text, options_of
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import EpisodeSpec, Mode, controller_generator
+from skd_sim.world.episode import NANOSECONDS, EpisodeSpec, Mode, controller_generator
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Trajectory, heading_of, to_map
-from skd_sim.world.timing import NANOSECONDS
 
 
 def from_stamp(stamp: Any) -> int:

@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame
-from skd_sim.world.episode import AbortKind, Outcome, abort_reason
-from skd_sim.world.timing import NANOSECONDS, CommandAges, period_stamp, stamp_fault
+from skd_sim.world.episode import NANOSECONDS, AbortKind, CommandAges, Outcome, abort_reason, period_stamp, stamp_fault
 
 
 class Senders:

@@ -51,10 +51,9 @@ from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
 from skd_sim.world.dynamics.basic import Command, CommandLimits, wheels
-from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
+from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, Schedule, abort_reason
 from skd_sim.world.sensors import InertialUnit, PlanarLaser, make_laser
 from skd_sim.world.state import AdversaryState, CarState, Pair, RoadUserState, Scene
-from skd_sim.world.timing import Schedule
 
 TABLES = (SimulatorOptions,)
 """Of every simulator's parameters."""

@@ -21,7 +21,7 @@ from skd_sim.inputs.files import nearest
 from skd_sim.interruption import END_LIMIT, Interruption, end_within
 from skd_sim.options.options import CommandOptions, Option, options_of
 from skd_sim.ros.from_messages import from_stamp
-from skd_sim.world.timing import period_of
+from skd_sim.world.episode import period_of
 
 
 class Topic(StrEnum):

@@ -19,10 +19,9 @@ from tf2_msgs.msg import TFMessage
 from skd_sim.options.options import ADVERSARY_FRAME, FIELDS, FRAMES, MAP_FRAME, Frames, options_of, options_to_text
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, as_pair
-from skd_sim.world.episode import EpisodeSpec, controller_seed
+from skd_sim.world.episode import NANOSECONDS, EpisodeSpec, controller_seed
 from skd_sim.world.sensors import Inertia, Scan
 from skd_sim.world.state import AdversaryState, CarState, Pair, Scene, Triple, to_body
-from skd_sim.world.timing import NANOSECONDS
 
 _VARIANCE = 1e-6  # of each number, in SI units squared. All are true; but filters invert covariances, and zeros have no
 # inverse, and to a sensor_msgs/Imu they say that nothing is known of it.

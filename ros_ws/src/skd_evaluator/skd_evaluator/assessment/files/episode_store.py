@@ -25,9 +25,8 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
+from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome, Timing
 from skd_sim.world.state import Trajectory
-from skd_sim.world.timing import Timing
 
 from skd_evaluator.assessment.context import Runner
 from skd_evaluator.errors import AssessmentError

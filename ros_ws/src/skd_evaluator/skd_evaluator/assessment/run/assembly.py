@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
+from skd_sim.world.episode import UNTIMED, EpisodeLog, EpisodeSpec, Outcome, Timing, tick_stamp
 from skd_sim.world.state import AdversaryState, CarState, FloatArray
-from skd_sim.world.timing import UNTIMED, Timing, tick_stamp
 
 
 class EpisodeKey(NamedTuple):
