@@ -10,13 +10,15 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import numpy as np
+import pytest
 from forked_skd import TOKEN
+from skd_sim.errors import UsageError
 
 PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
@@ -98,6 +100,15 @@ def run_program(*words: object, cwd: Path | None = None, **variables: str) -> su
     return subprocess.run(
         [*map(str, words)], cwd=cwd, env=os.environ | variables, capture_output=True, text=True, timeout=PATIENCE
     )
+
+
+@contextlib.contextmanager
+def refused(*parts: object, error: type[Exception] = UsageError) -> Iterator[pytest.ExceptionInfo[Exception]]:
+    """What is done within is refused in one line, which holds all of these parts."""
+    with pytest.raises(error) as caught:
+        yield caught
+    said = str(caught.value)
+    assert ("\n" in said, [part for part in parts if str(part) not in said]) == (False, []), said
 
 
 def assert_valid(assessment: Any) -> None:

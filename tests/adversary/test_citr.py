@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from citr_lookalike import LookAlike, Walk
+from common import refused
 from skd_adversary.safe_trajectories.sources import Clip, read_clips, select, touches_cart
-from skd_sim import Scenario, Trajectory, UsageError, load_scenario
+from skd_sim import Scenario, Trajectory, load_scenario
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 
 SCENARIO = load_scenario("citr_crossing")
@@ -88,11 +89,8 @@ def _spoil(file: Path, line: int, old: str, new: str) -> None:
 def test_malformed_file(tmp_path: Path, name: str, line: int, old: str, new: str, message: str) -> None:
     LookAlike().write(tmp_path)
     _spoil(tmp_path / name, line, old, new)
-    with pytest.raises(UsageError) as caught:
+    with refused(tmp_path / name, message):
         read_citr(tmp_path, SCENARIO)
-    assert str(tmp_path / name) in str(caught.value)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def _rows(file: Path, change: Callable[[list[str]], list[str]]) -> None:
@@ -122,11 +120,8 @@ MISTAKES: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
 def test_what_nobody_can_have_done(tmp_path, name, change, said):
     LookAlike().write(tmp_path)
     _rows(tmp_path / name, change)
-    with pytest.raises(UsageError) as caught:
+    with refused(tmp_path / name, said):
         read_clips(tmp_path)
-    assert str(tmp_path / name) in str(caught.value)
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from common import refused
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.tracks import RecordingFrame, Track
 from skd_evaluator.extensions.exchange.imports import UnusableError, trajectory_of
@@ -163,9 +164,8 @@ def test_a_speed_that_is_reached_from_rest_says_when_who_follows_is_where(tmp_pa
     ],
 )  # fmt: skip
 def test_what_openscenario_does_not_say_is_named_and_spoils_nobody_else(tmp_path: Path, board: str, says: str):
-    with pytest.raises(UsageError) as caught:
+    with refused(says):
         track(xosc(tmp_path, board))
-    assert says in str(caught.value)
     with pytest.raises(UsageError, match="has no object whose track is read: 'Walker'"):
         track(tmp_path / "a.xosc", None)
     other = track(xosc(tmp_path, board + follows(f"<Polyline>{LINE}</Polyline>", "Other")), "Other")
@@ -222,9 +222,8 @@ def table(path: Path, times: np.ndarray, x: np.ndarray) -> Path:
 )
 def test_times_and_units_that_cannot_be_are_left_out(tmp_path: Path, times: np.ndarray, x: np.ndarray, says: str):
     (source,) = read_sources([table(tmp_path / "a.csv", times, x)], ImportRequest())
-    with pytest.raises(UnusableError) as caught:
+    with refused(says, error=UnusableError):
         trajectory_of(source, RecordingFrame(), 0.5, None)
-    assert says in str(caught.value)
 
 
 def test_who_crosses_twice_is_cut_to_the_crossing_of_the_scenario(tmp_path: Path):

@@ -5,12 +5,12 @@ import math
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
 from builtin_interfaces.msg import Time
+from common import refused
 from geometry_msgs.msg import AccelStamped, TwistStamped
 from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy
-from skd_sim.errors import UsageError
 from skd_sim.options.options import CommandOptions
 from skd_sim.ros.commands import NAMED_FORMATS, CarCommands, Quantity, angle_of_yaw_rate, car_commands
 from std_msgs.msg import Float64MultiArray, Header
@@ -91,10 +91,8 @@ def test_what_a_type_means() -> None:
     ],
 )  # fmt: skip
 def test_a_wrong_type_or_field_is_one_line(kind: str, field: str, said: str) -> None:
-    with pytest.raises(UsageError) as caught:
+    with refused(said) as caught:
         commands(kind, field)
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 1200
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import zstandard
+from common import refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
@@ -323,9 +324,8 @@ def test_frames_that_nobody_asks_for_spoil_nothing(tmp_path: Path):
 )
 def test_a_frame_that_is_said_in_two_ways_is_refused(tmp_path: Path, more: Any, says: str):
     sent = [*drive(), *(each for tick in range(121) for each in more(100.0 + tick / 20))]
-    with pytest.raises(UsageError) as caught:
+    with refused(says):
         read(write(tmp_path / "a.mcap", sent), "/tf:base_link", map_frame="map")
-    assert says in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -365,9 +365,8 @@ def test_stamps_and_places_of_no_use_are_counted(tmp_path: Path, sent: list[Sent
     ids=["slow clock", "no ids", "two drives", "no id", "another id", "another topic", "another frame", "one message"],
 )  # fmt: skip
 def test_tracks_that_a_recording_does_not_say_are_refused_with_the_cause(tmp_path, sent, name, says):
-    with pytest.raises(UsageError) as caught:
+    with refused(says):
         read(write(tmp_path / "a.mcap", sent), name)
-    assert says in str(caught.value)
 
 
 def test_a_listing_names_everything_that_a_recording_holds(tmp_path: Path):

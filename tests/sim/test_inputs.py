@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from common import refused
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_adversary.car_models.car_model_file import read_car_model
@@ -81,12 +82,9 @@ NO_MODELS = {
 def test_what_is_no_model_is_one_short_line(tmp_path: Path, text: str, read: Callable[[Path], object]) -> None:
     path = tmp_path / "file.yaml"
     path.write_text(text)
-    with pytest.raises(UsageError) as caught:
+    with refused(path) as caught:
         read(path)
-    said = str(caught.value)
-    assert str(path) in said
-    assert len(said) < 700
-    assert "\n" not in said
+    assert len(str(caught.value)) < 700
 
 
 @pytest.mark.parametrize(
