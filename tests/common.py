@@ -1,5 +1,6 @@
 """What tests of several folders share: patience, DDS domains of their own, and `skd` in the tests' own process."""
 
+import ast
 import contextlib
 import io
 import os
@@ -11,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,18 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
         return next((line for line in iter(process.stdout.readline, "") if wanted in line), "")
     finally:
         killer.cancel()
+
+
+@cache
+def imported(module: Path) -> set[str]:
+    """The top-level packages that a module imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {name.name.split(".")[0] for name in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module.split(".")[0])
+    return found
 
 
 def run_program(*words: object, cwd: Path | None = None, **variables: str) -> subprocess.CompletedProcess[str]:

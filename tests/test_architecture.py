@@ -5,11 +5,11 @@ import graphlib
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+from common import imported
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")  # each may import those before it
@@ -28,25 +28,11 @@ def package_modules(package: str) -> list[Path]:
     return sorted((ROOT / "ros_ws" / "src" / package / package).rglob("*.py"))
 
 
-@cache
-def nodes_of(module: Path) -> tuple[ast.AST, ...]:
-    return tuple(ast.walk(ast.parse(module.read_text(encoding="utf-8"))))
-
-
-def imported(module: Path) -> Iterator[str]:
-    """Yield the top-level packages that a module imports, wherever in it."""
-    for node in nodes_of(module):
-        if isinstance(node, ast.Import):
-            yield from (name.name.split(".")[0] for name in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            yield node.module.split(".")[0]
-
-
 @pytest.mark.parametrize("package", PACKAGES)
 def test_imports_run_one_way(package):
     assert package_modules(package)
     above = set(PACKAGES[PACKAGES.index(package) + 1 :])
-    wrong = {str(module): names for module in package_modules(package) if (names := above & set(imported(module)))}
+    wrong = {str(module): names for module in package_modules(package) if (names := above & imported(module))}
     assert wrong == {}
 
 
@@ -55,13 +41,14 @@ def dotted(module: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
+@cache
 def arrows() -> dict[str, set[str]]:
     """Return the modules that each module of the packages imports, wherever in it."""
     files = {dotted(module): module for package in PACKAGES for module in package_modules(package)}
     found: dict[str, set[str]] = {}
     for name, module in files.items():
         named: set[str] = set()
-        for node in nodes_of(module):
+        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
                 named |= {one.name for one in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:

@@ -34,12 +34,15 @@ def run(
     return subprocess.run(words, cwd=cwd or copy.parent, env=variables, timeout=PATIENCE, **said)
 
 
+def program(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+
+
 def make_environment(copy: Path, name: str) -> None:
     """Make what the first run leaves: an interpreter, and a stamp of the pyproject.toml it was made for."""
-    (copy / name / "bin").mkdir(parents=True)
-    python = copy / name / "bin" / "python"
-    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
-    python.chmod(0o755)
+    program(copy / name / "bin" / "python", f'exec "{sys.executable}" "$@"')
     with (copy / "pyproject.toml").open() as file:
         stamp = subprocess.run(["cksum"], stdin=file, capture_output=True, text=True, check=True).stdout
     (copy / name / ".skd-run").write_text(stamp)
@@ -58,11 +61,8 @@ def test_skd_runs_where_the_environment_exists(copy):
 def test_ros_environment_is_made_with_the_python_that_ros_is_compiled_for(copy):
     calls = copy / "calls.txt"
     bin_folder = copy / "bin"
-    bin_folder.mkdir()
     for name in ("python3", "python3.12"):  # as where another Python comes before the system's
-        python = bin_folder / name
-        python.write_text(f'#!/bin/sh\necho "{name} $*" >>"{calls}"\n')
-        python.chmod(0o755)
+        program(bin_folder / name, f'echo "{name} $*" >>"{calls}"')
     path = f"{bin_folder}{os.pathsep}{os.environ['PATH']}"
     run(copy, "skd", PATH=path, ROS_DISTRO="jazzy", PYTHONPATH="/opt/ros/jazzy/lib/python3.12/site-packages")
     made = [call for call in calls.read_text().splitlines() if "-m venv" in call]
@@ -82,8 +82,7 @@ def test_a_scheduler_brings_dask_once(copy):
     make_environment(copy, ".venv")
     log = copy / "calls.txt"
     python = copy / "python3.12"
-    python.write_text(f'#!/bin/sh\necho "$@" >>"{log}"\n')
-    python.chmod(0o755)
+    program(python, f'echo "$@" >>"{log}"')
     command = ("assess", "--scheduler", "tcp://127.0.0.1:8786", "--help")
     for _ in range(2):
         done = run(copy, "skd", *command, SKD_PYTHON=str(python))

@@ -27,7 +27,7 @@ HISTORY = {  # what each commit changes, and its message
         ("src/team/cars.py", CAR.replace("return 0.0", "return -7.0").replace("else 0.0", "else -7.0")),
     ],
     "mended": [("src/team/cars.py", CAR.replace("time", "after"))],
-    "worse": [("lib/limits.py", "SIDE = 0.5\n")],  # of the same size, and within the second
+    "worse": [("lib/limits.py", "SIDE = 0.9\n")],  # of the same size, and within the second
     "more words": [("src/team/cars.py", CAR.replace("aside", "left"))],
     "notes": [("notes.md", "nothing of the car\n")],
 }

@@ -14,7 +14,7 @@ from skd_evaluator.bags.tracks import Track
 from skd_evaluator.extensions.exchange.exports import FORMATS
 from skd_evaluator.extensions.exchange.imports import UnusableError, by_car
 from skd_evaluator.extensions.exchange.readers import ImportRequest, read_sources
-from skd_sim import UsageError, load_scenario
+from skd_sim import load_scenario
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -143,17 +143,10 @@ def test_the_same_way_comes_in_once(tmp_path: Path, skd_here):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"), [("<Other/>", "its root is 'Other'"), ("<OpenSCENARIO><a>", "not XML that SKD reads")]
-)
-def test_files_of_no_scenario(tmp_path: Path, text: str, says: str):
-    (tmp_path / "a.xosc").write_text(text)
-    with pytest.raises(UsageError, match=says):
-        read_sources([tmp_path / "a.xosc"], ImportRequest())
-
-
-@pytest.mark.parametrize(
     ("text", "says"),
     [
+        ("<Other/>", "its root is 'Other'"),
+        ("<OpenSCENARIO><a>", "not XML that SKD reads"),
         ("a,b\n1,2\n", "line 1: the header must name"),
         ("t,x,y\n0,0,0\n", "1 position; a track has at least two"),
         ("t,x,y\n0,0,0\n1,zero,0\n", "line 3: x must be a number"),
@@ -163,10 +156,11 @@ def test_files_of_no_scenario(tmp_path: Path, text: str, says: str):
         ("t,x,y\n0,0,-3,5,0,2\n1,0,-2,5,0,2\n", "6 values where the header names 3"),  # decimal commas
     ],
 )
-def test_tables_that_say_no_way(tmp_path: Path, text: str, says: str):
-    (tmp_path / "a.csv").write_text(text)
+def test_files_that_say_no_way(tmp_path: Path, text: str, says: str):
+    path = tmp_path / ("a.xosc" if text.startswith("<") else "a.csv")
+    path.write_text(text)
     with refused(says):
-        read_sources([tmp_path / "a.csv"], ImportRequest())
+        read_sources([path], ImportRequest())
 
 
 def test_a_car_that_turns_does_not_say_where_north_is():

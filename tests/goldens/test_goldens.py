@@ -39,48 +39,30 @@ RUNS = [
     *(("basic, C = 1", way) for way in ("composed", "separate")),
     ("class with state", "composed"),
 ]
+
+
+def same(names: str) -> dict[str, str]:
+    return {name: name for name in names.split()}
+
+
 OF_THE_MARGIN = {
-    "margin": "margin",
-    "margin_ci95": "margin_ci95",
-    "margin_p10": "margin_p10",
+    **same("margin margin_ci95 margin_p10"),
     "margin_impact_speed": "impact_speed",
     "margin_curve": "vulnerability_curve.margins.area_above",
-    "optimality_gap": "optimality_gap",
-    "optimality_gap_ci95": "optimality_gap_ci95",
-    "equivalent_multiplier": "equivalent_multiplier",
-    "equivalent_multiplier_ci95": "equivalent_multiplier_ci95",
+    **same("optimality_gap optimality_gap_ci95 equivalent_multiplier equivalent_multiplier_ci95"),
 }
-OF_THE_RISK = {
-    name: name for scale in (1, 2, 3) for name in (f"risk_{scale}", f"risk_{scale}_ci95_runs", f"risk_{scale}_ci95")
-}
+OF_THE_RISK = same(" ".join(f"risk_{scale} risk_{scale}_ci95_runs risk_{scale}_ci95" for scale in (1, 2, 3)))
 OTHERS = {
-    "deviation": "deviation",
-    "deviation_ci95": "deviation_ci95",
-    "deviation_ci95_trials": "deviation_ci95_trials",
-    "deviation_success_rate": "deviation_success_rate",
-    "deviation_success_rate_ci95": "deviation_success_rate_ci95",
+    **same("deviation deviation_ci95 deviation_ci95_trials deviation_success_rate deviation_success_rate_ci95"),
     "deviation_planned_for_the_paper": "objectives.paper.deviation",
-    "skd": "skd",
-    "skd_ci95": "skd_ci95",
-    "skd_ci95_pairs": "skd_ci95_pairs",
-    "skd_prefix": "skd_prefix",
-    "skd_prefix_ci95": "skd_prefix_ci95",
+    **same("skd skd_ci95 skd_ci95_pairs skd_prefix skd_prefix_ci95"),
     "skd_planned_for_deviation": "objectives.deviation.skd",
     "skd_variance": "variance",
-    "probability_bound": "probability_bound",
-    "probability_bound_ci95": "probability_bound_ci95",
+    **same("probability_bound probability_bound_ci95"),
     "warped": "measures.warped.mean",
     "required_deceleration_at_entry": "measures.required_deceleration_at_entry.mean",
-    "kamikaze_success_rate": "kamikaze_success_rate",
-    "kamikaze_success_rate_ci95": "kamikaze_success_rate_ci95",
-    "mean_impact_speed": "mean_impact_speed",
-    "mean_closing_speed": "mean_closing_speed",
-    "contact_rate": "contact_rate",
-    "contact_rate_ci95": "contact_rate_ci95",
-    "nominal_collision_rate": "nominal_collision_rate",
-    "nominal_collision_rate_ci95": "nominal_collision_rate_ci95",
-    "aborted": "aborted",
-    "pairs": "pairs",
+    **same("kamikaze_success_rate kamikaze_success_rate_ci95 mean_impact_speed mean_closing_speed"),
+    **same("contact_rate contact_rate_ci95 nominal_collision_rate nominal_collision_rate_ci95 aborted pairs"),
     "time_to_collision_along_phi": "surrogate_measures.along_phi.time_to_collision",
     "clearance_along_phi": "surrogate_measures.along_phi.clearance",
     "delta_v_of_kamikazes": "surrogate_measures.kamikazes.paper.delta_v",

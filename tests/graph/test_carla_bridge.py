@@ -198,16 +198,17 @@ def spin(executor: SingleThreadedExecutor, done: threading.Event) -> None:
         executor.spin_once(timeout_sec=0.05)
 
 
-def _episode(gap: float) -> EpisodeSpec:
-    base = load_scenario("crossing")
+def _episode(name: str, gap: float = 60.0, **changes: Any) -> EpisodeSpec:
+    """A shipped scenario whose car drives on without noise, by default far away."""
+    base = load_scenario(name)
     car = replace(base.car, speed_noise=0.0, acceleration_noise=0.0, start_gap=gap)
-    return EpisodeSpec(replace(base, car=car), Mode.SAFE, 3, 4)
+    return EpisodeSpec(replace(base, car=car, **changes), Mode.SAFE, 3, 4)
 
 
 @pytest.mark.parametrize("gap", [9.0, 30.0])
 def test_an_episode_ends_as_in_the_world(messages: Any, gap: float) -> None:
     """A car that drives on, so that the stand-in's motion and the world's are the same but for one frame of placing."""
-    episode = _episode(gap)
+    episode = _episode("crossing", gap)
     result, others, stand_in = run(messages, episode, 0.0)
     world = make_world(episode)
     # Tick 0 is what the first frame after the placing shows: the car has rolled for that frame.
@@ -231,16 +232,9 @@ def test_an_episode_ends_as_in_the_world(messages: Any, gap: float) -> None:
     assert stand_in.pedals_seen == {(0.0, 0.0)}
 
 
-def _same_car(name: str, **changes: Any) -> EpisodeSpec:
-    """A shipped scenario whose car drives on without noise, far away."""
-    base = load_scenario(name)
-    car = replace(base.car, speed_noise=0.0, acceleration_noise=0.0, start_gap=60.0)
-    return EpisodeSpec(replace(base, car=car, **changes), Mode.SAFE, 3, 4)
-
-
 def test_who_does_not_walk_is_put_where_its_velocity_takes_it(messages: Any) -> None:
     """A cyclist points the way it rides, in each frame of a tick, and its state in SKD is that of the world."""
-    episode = _same_car("cyclist")
+    episode = _episode("cyclist")
     result, others, stand_in = run(messages, episode, 0.0)
     assert (result.outcome, result.reason) == (Outcome.ARRIVED, "")
     world = make_world(episode)
@@ -260,7 +254,7 @@ def test_who_does_not_walk_is_put_where_its_velocity_takes_it(messages: Any) -> 
 
 def test_others_and_obstacles_are_put_in_place(messages: Any) -> None:
     parked = load_scenario("child").obstacles
-    episode = _same_car("bystanders", obstacles=parked)
+    episode = _episode("bystanders", obstacles=parked)
     names = (*(f"other_{index}" for index in range(4)), "obstacle_0", "obstacle_1")
     result, _, stand_in = run(messages, episode, 0.0, others_there=names)
     assert (result.outcome, result.reason) == (Outcome.ARRIVED, "")

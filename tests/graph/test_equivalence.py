@@ -24,6 +24,7 @@ from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.controllers.basic import BasicController
+from skd_sim.controllers.controller import Controller
 from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES, AdversaryModel, Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -52,9 +53,9 @@ def evaluator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Evaluator]:
         yield evaluator
 
 
-def same_through_the_graph(evaluator: Evaluator, wanted: list[EpisodeSpec]) -> list[EpisodeLog]:
+def same_through_the_graph(evaluator: Evaluator, wanted: list[EpisodeSpec], *law: Controller) -> list[EpisodeLog]:
     """Run episodes through a graph, and return their logs, which are those of the plain loop."""
-    expected = [run_episode(episode) for episode in wanted]
+    expected = [run_episode(episode, *law) for episode in wanted]
     logs = list(evaluator.run(wanted))
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)
@@ -62,13 +63,20 @@ def same_through_the_graph(evaluator: Evaluator, wanted: list[EpisodeSpec]) -> l
 
 
 def same_in_recordings(folder: Path, controller: str, wanted: list[EpisodeSpec]) -> list[EpisodeLog]:
-    """The same through a graph of its own, and in its bags."""
+    """The same through a graph of its own, and in its bags, whose logs are returned."""
     with whole_graph(folder, controller=controller, record_to=folder / "bags") as (evaluator, _):
         logs = same_through_the_graph(evaluator, wanted)
     recorded = {(one.log.episode.mode, one.log.episode.episode_id): one.log for one in read_episodes([folder / "bags"])}
-    for one in logs:
-        assert_same_log(one, recorded[one.episode.mode, one.episode.episode_id])
-    return logs
+    kept = [recorded[one.episode.mode, one.episode.episode_id] for one in logs]
+    for one, other in zip(logs, kept, strict=True):
+        assert_same_log(one, other)
+    return kept
+
+
+def trials(plan: Plan) -> list[EpisodeSpec]:
+    """Three kamikazes and three runs along one φ."""
+    safe = safe_trajectories(dataclasses.replace(plan, safe_count=1), InProcessRunner(1))[0]
+    return [single_episode(plan, mode, trial, safe) for mode in (Mode.KAMIKAZE, Mode.REPLAY) for trial in range(3)]
 
 
 @pytest.mark.parametrize(
@@ -92,10 +100,7 @@ def test_cars_that_decide_between_ticks(tmp_path: Path, controller: str) -> None
         scenario = dataclasses.replace(scenario, control_period=0.1)
     plan = Plan(scenario, controller=controller, multiplier=0.75 if controller == "basic" else 1.0, simulations=200)
     assert plan.scenario.control_periods > 1
-    safe = safe_trajectories(dataclasses.replace(plan, safe_count=1), InProcessRunner(1))[0]
-    modes = (Mode.KAMIKAZE, Mode.REPLAY)
-    wanted = [single_episode(plan, mode, trial, safe) for mode in modes for trial in range(3)]
-    logs = same_in_recordings(tmp_path, controller, wanted)
+    logs = same_in_recordings(tmp_path, controller, trials(plan))
     assert Outcome.COLLISION in {log.outcome for log in logs}
 
 
@@ -108,18 +113,9 @@ def test_a_car_that_steers_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
         simulations=100,
         adversary_model="generic",
     )
-    safe = safe_trajectories(dataclasses.replace(plan, safe_count=1), InProcessRunner(1))[0]
-    wanted = [single_episode(plan, mode, trial, safe) for mode in (Mode.KAMIKAZE, Mode.REPLAY) for trial in range(3)]
-    bags = tmp_path / "bags"
-    with whole_graph(tmp_path, controller=weaving, record_to=bags) as (evaluator, _):
-        logs = list(evaluator.run(wanted))
-    recorded = {(one.log.episode.mode, one.log.episode.episode_id): one.log for one in read_episodes([bags])}
-    for log in logs:
-        plain, kept = run_episode(log.episode), recorded[log.episode.mode, log.episode.episode_id]
-        assert np.ptp(log.car[:, 2]) > 0.05
-        assert_same_log(plain, log)
-        assert_same_log(plain, kept)
-        assert plain.commands.tobytes() == kept.commands.tobytes()
+    for kept in same_in_recordings(tmp_path, weaving, trials(plan)):
+        assert np.ptp(kept.car[:, 2]) > 0.05
+        assert run_episode(kept.episode).commands.tobytes() == kept.commands.tobytes()
         assert examine(kept).ours
         turned = kept.car + (np.arange(len(kept.car)) == 3)[:, None] * np.array([0.0, 0.0, 0.05, 0.0])
         assert not examine(dataclasses.replace(kept, car=turned)).ours
@@ -156,13 +152,10 @@ def test_a_foreign_node_that_reads_only_the_scan(tmp_path: Path, plan: Plan) -> 
     safe = safe_trajectories(plan, InProcessRunner(1))[0]
     external = dataclasses.replace(plan, controller="external")
     wanted = [single_episode(external, Mode.REPLAY, trial, safe) for trial in range(3)]
-    expected = [run_episode(episode, ScanBraker()) for episode in wanted]
-    assert min(log.car[:, 3].min() for log in expected) < 5.0
     node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "scan"])
     with whole_graph(tmp_path, GraphOptions(controller_command=node)) as (evaluator, _):
-        logs = list(evaluator.run(wanted))
-    for one, other in zip(expected, logs, strict=True):
-        assert_same_log(one, other)
+        logs = same_through_the_graph(evaluator, wanted, ScanBraker())
+    assert min(log.car[:, 3].min() for log in logs) < 5.0
 
 
 def test_curves_and_boxes_are_the_same_to_the_last_bit(evaluator: Evaluator) -> None:

@@ -9,16 +9,12 @@ from pathlib import Path
 from common import new_domain
 from graph_nodes import running, start_node, wait_for_end
 from graph_support import Program, assert_same_results, skd_here
+from packaging_support import NODES
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_sim.options.car_and_adversary import AdversaryModel
 
-MODULES = {
-    "vehicle_simulator": "skd_sim.ros.simulator_node",
-    "adversary": "skd_adversary.ros.adversary_node",
-    "car_controller": "skd_sim.ros.controller_node",
-    "evaluator": "skd_evaluator.ros.evaluator_node",
-}
+MODULES = {name: module for name, (_, module) in NODES.items()}
 
 
 def node(name: str, domain: int, *words: str, **parameters: object) -> Program:

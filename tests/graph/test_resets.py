@@ -112,21 +112,20 @@ def test_whatever_state_it_is_found_in(brake: Any, capsys: pytest.CaptureFixture
     assert re.findall(r"transitions: (\w+)", capsys.readouterr().out) == ["deactivate", "cleanup"]
 
 
-def test_a_finalized_node(brake: Any) -> None:
-    brake().trigger_shutdown()
+@pytest.mark.parametrize(
+    ("refuse", "said"),
+    [
+        ("configure", "did not configure; it is unconfigured now"),
+        ("activate", "did not activate; it is inactive now"),
+        ("to go on", "is finalized: it has to be started anew"),
+    ],
+)
+def test_a_node_that_refuses(brake: Any, refuse: str, said: str) -> None:
+    node = brake(refuse=refuse)
+    if refuse == "to go on":
+        node.trigger_shutdown()
     with managed() as nodes:
-        assert nodes.before_episode() == (
-            f"failed: {NAME}, a managed node of the car controller, is finalized: it has to be started anew"
-        )
-
-
-@pytest.mark.parametrize(("step", "said"), [("configure", "unconfigured"), ("activate", "inactive")])
-def test_a_node_that_refuses(brake: Any, step: str, said: str) -> None:
-    brake(refuse=step)
-    with managed() as nodes:
-        assert nodes.before_episode() == (
-            f"failed: {NAME}, a managed node of the car controller, did not {step}; it is {said} now"
-        )
+        assert nodes.before_episode() == f"failed: {NAME}, a managed node of the car controller, {said}"
 
 
 def test_a_node_that_is_not_there(brake: Any) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from common import run_program
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions
 from skd_evaluator.cli.parser import make_parser
 from skd_sim.options.options import SimulatorOptions, options_of
@@ -23,6 +24,14 @@ NODES = {  # node → package, module
 }
 STEERING = {"use_builtin_controller", "params_file", "rviz", "end_launch"}  # arguments that change the launch itself
 ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.ros.carla_bridge")}  # no launch file starts the last
+
+
+def tracked(*folders: str) -> list[str]:
+    """Files of the checkout, of which a test's own are none."""
+    listed = run_program(
+        "git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *folders, cwd=ROOT
+    ).stdout
+    return [name for name in listed.split("\0") if name and (ROOT / name).is_file()]
 
 
 def settings(node: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from pathlib import Path
 import pytest
 import yaml
 from common import PATIENCE, new_domain
-from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command
+from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command, tracked
 from skd_evaluator.bags.read import read_episodes
 from skd_sim.ros_environment.installation import (
     cmake_prefix,
@@ -76,10 +76,6 @@ def value(word: str) -> list[str]:
 def context() -> list[str]:
     """Return the files that a build sees, by their names in the checkout: what .dockerignore lists is not there."""
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    ).stdout.split("\0")  # fmt: skip
 
     def is_ignored(name: str) -> bool:
         parts = name.split("/")
@@ -90,7 +86,7 @@ def context() -> list[str]:
             for path, part in zip(paths, parts, strict=True)
         )
 
-    return [name for name in listed if name and (ROOT / name).is_file() and not is_ignored(name)]
+    return [name for name in tracked() if not is_ignored(name)]
 
 
 @dataclass(frozen=True)

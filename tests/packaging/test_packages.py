@@ -1,11 +1,11 @@
 """package.xml, setup.py and the parameter files say what the code says."""
 
-import ast
 import re
 import sys
 import tomllib
 
 import pytest
+from common import imported
 from packaging_support import ALL_NODES, PYTHON_PACKAGES, ROOT, SOURCE, defaults_on_file, settings, setup_arguments
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions
 from skd_sim.options.options import SimulatorOptions, options_of
@@ -22,17 +22,10 @@ DISTRIBUTIONS = {"pydantic_core": "pydantic", "vl_convert": "vl-convert-python"}
 NOT_IMPORTED = {"ackermann_msgs", "python3-pytest", "ros2launch", "rviz2", "std_msgs"}  # the last: headers of messages
 
 
-def imported(package: str) -> set[str]:
+def needed_by(package: str) -> set[str]:
     """Return the top-level modules that a package's code and launch files import."""
-    found = set()
-    for folder in (package, "launch"):
-        for module in (SOURCE / package / folder).rglob("*.py"):
-            for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Import):
-                    found |= {name.name.split(".")[0] for name in node.names}
-                elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-                    found.add(node.module.split(".")[0])
-    return found - {package} - OF_EXTRAS - set(sys.stdlib_module_names)
+    modules = [module for folder in (package, "launch") for module in (SOURCE / package / folder).rglob("*.py")]
+    return set().union(*map(imported, modules)) - {package} - OF_EXTRAS - set(sys.stdlib_module_names)
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -62,10 +55,10 @@ def test_dependencies_are_what_is_imported(package):
     catkin = pytest.importorskip("catkin_pkg.package")
     manifest = catkin.parse_package(str(SOURCE / package))
     declared = {dependency.name for dependency in (*manifest.exec_depends, *manifest.test_depends)}
-    needed = {ROSDEP.get(name, name) for name in imported(package) - NOT_IN_ROSDEP}
+    needed = {ROSDEP.get(name, name) for name in needed_by(package) - NOT_IN_ROSDEP}
     assert needed - declared == set(), "imported, but not in package.xml"
     assert declared - needed - NOT_IMPORTED == set(), "in package.xml, but not imported"
-    missing = {DISTRIBUTIONS.get(name, name) for name in imported(package) & NOT_IN_ROSDEP}
+    missing = {DISTRIBUTIONS.get(name, name) for name in needed_by(package) & NOT_IN_ROSDEP}
     assert missing <= set(setup_arguments(package)["install_requires"])
 
 

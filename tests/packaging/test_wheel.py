@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from common import PATIENCE
 from packaging.requirements import Requirement
-from packaging_support import PYTHON_PACKAGES, ROOT
+from packaging_support import PYTHON_PACKAGES, ROOT, tracked
 
 SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
 SMALL += ["--margin-limit", "8", "--behaviour", "none"]
@@ -28,14 +28,6 @@ def run(*command: object, folder: Path) -> str:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
-
-
-def tracked(*folders: str) -> set[str]:
-    """Files of the checkout, of which a test's own are none."""
-    listed = run("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *folders, folder=ROOT).split(
-        "\0"
-    )
-    return {name for name in listed if name and (ROOT / name).is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +78,7 @@ def environment(wheel: Path) -> Path:
 
 def test_the_sdist_has_the_workspace_and_nothing_else(sdist):
     found = {str(path.relative_to(sdist)) for path in sdist.rglob("*") if path.is_file()}
-    wanted = tracked("ros_ws/src") | {"LICENSE", "README.md", "CHANGELOG.md", "pyproject.toml", ".gitignore"}
+    wanted = {*tracked("ros_ws/src")} | {"LICENSE", "README.md", "CHANGELOG.md", "pyproject.toml", ".gitignore"}
     assert found - {"PKG-INFO"} == wanted
 
 
