@@ -104,5 +104,5 @@ def test_a_class_in_the_working_folder_is_found_and_hides_no_module_of_skds(tmp_
     words = ("--adversary-model", "generic", "--margin-limit", "0", "--behaviour", "none", "--safe-count", "1", "-q")
     words += ("--controller", "car:Car", "--out", tmp_path / "out")
     done = run(ROOT, "skd", "assess", *words, cwd=tmp_path, SKD_ENV=str(Path(sys.executable).parent))
-    assert "command must return a finite number (m/s²), got 'hash seed 0'" in done.stderr, done.stderr
+    assert "(m/s²), or two with a steering angle (rad); got 'hash seed 0'" in done.stderr, done.stderr
     assert done.returncode == 1

@@ -92,7 +92,7 @@ def words(name: str, *more: str) -> list[str]:
         ),
         ("Exits", 1, ["3 episodes in a row failed", "process ended", "exit code 0"]),
         ("Crashes", 1, ["3 episodes in a row failed", "process ended", "SIGSEGV"]),
-        ("Nan", 1, ["command must return a finite number (m/s²), got nan"]),
+        ("Nan", 1, ["command must return a finite number (m/s²), or two", "(rad); got nan (cars.py"]),
         ("ExitsInInit", 2, ["cannot be loaded", "exit code 0"]),
         ("exits_at_import:Car", 2, ["cannot be loaded", "exit code 0"]),
     ],

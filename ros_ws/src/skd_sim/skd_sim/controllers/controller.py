@@ -204,6 +204,8 @@ def failed(whose: str, method: str, error: BaseException, code: object = None) -
     has = ""
     if isinstance(error, AttributeError) and type(error.obj).__module__.startswith("skd_sim."):
         names = getattr(error.obj, "_fields", [one for one in dir(error.obj) if not one.startswith("_")])
+        parts = [part for part in ("car", "adversary") if hasattr(getattr(error.obj, part, None), str(error.name))]
+        names = [f"{part}.{error.name}" for part in parts] or names
         has = near_or_all(str(error.name), names, "it has")
     return AssessmentError(f"{whose}: {method} failed with {reason_of(error)}{has}{place_of(error, folder)}")
 
@@ -305,9 +307,8 @@ class UserController:
         acceleration, steering = pair or (_number(answer), 0.0)
         if not (math.isfinite(acceleration) and math.isfinite(steering)):
             raise NoNumberError(
-                f"controller {self._name}: command must return a finite number (m/s²), got {short(answer)}; or two, "
-                "with a steering angle (rad)"
-                f"{_place_of_method(self._controller.command)}"
+                f"controller {self._name}: command must return a finite number (m/s²), or two with a steering angle "
+                f"(rad); got {short(answer)}{_place_of_method(self._controller.command)}"
             )
         if pair is None:
             return acceleration
@@ -335,8 +336,8 @@ class UserController:
         is_array = found.dtype.kind in "fiu" and found.shape in ((count,), (count, 2)) and not np.ma.is_masked(answer)
         if not is_array or not np.isfinite(found).all():
             raise NoNumberError(
-                f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got "
-                f"{short(answer)}; or {count} × 2, with steering angles (rad)"
+                f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), or "
+                f"{count} × 2 with steering angles (rad); got {short(answer)}"
             )
         pairs = np.zeros((count, 2))
         pairs.T[: found.ndim] = found.T

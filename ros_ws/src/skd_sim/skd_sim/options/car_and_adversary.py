@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final, cast
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import from_here
 from skd_sim.options.registry import Registry
 
 DEFAULT = "basic"
@@ -143,7 +144,7 @@ class CarUnderTest:
     @property
     def user_code(self) -> str:
         """The user's code that drives it, as messages name it, which is run in a child process; empty: it is SKD's."""
-        return "" if self.is_own or self.is_external else f"controller {self.controller}"
+        return "" if self.is_own or self.is_external else f"controller {from_here(self.controller)}"
 
     @property
     def has_multiplier(self) -> bool:

@@ -465,5 +465,5 @@ def _compare(single: UserController, episode: EpisodeSpec, requested: _Request, 
     with _located(lambda: (episode, requested.tick, 0)):
         alone, together = as_pair(single.command(car, seen)), tuple(requested.commands[at].tolist())  # type: ignore[arg-type]
         if not math.dist(alone, together) <= TOLERANCE:
-            said = f"commands answers {short(together)} where command answers {short(alone)}"
-            raise AssessmentError(f"controller {episode.controller}: {said}, and both have to be the same car")
+            said = f"commands answers {short(together)} where command answers {short(alone)}; both have to be one car"
+            raise AssessmentError(f"controller {episode.car.short_controller}: {said}")

@@ -128,8 +128,10 @@ def minimal_deviations(
     found = search_margins(episodes, logs, in_processes(runner, progress), effort, before)
     hits, again = (sum(one is not None for one in some) for some in (found.hits, confirmed(episodes, found, runner)))
     if again < hits:
-        said = f"answers differently to the same trajectories: of {hits} hits {again} came again"
-        raise AssessmentError(f"controller {first.controller} {said}. It may draw only from the generator of reset")
+        said = f"{first.car.short_controller} answers differently to the same trajectories"
+        raise AssessmentError(
+            f"controller {said}: of {hits} hits {again} came again. It may draw only from the generator of reset"
+        )
     return found.hits, replace(found.search, how="" if earlier is None else f"from the hits of {earlier.folder} on")
 
 
@@ -171,7 +173,7 @@ def _by_whole_episodes(
             raise AssessmentError(lost)
         warnings.append(f"{lost}: the margin may be less")
     if again < hits and not is_own_world(plan.simulator):
-        which = f"simulator {plan.simulator}, or controller {plan.controller},"
+        which = f"simulator {plan.simulator}, or controller {plan.car.short_controller},"
         warnings.append(f"{NOT_CREDIBLE}{which} does not repeat itself: of {hits} hits {again} came again")
     came = f"{again} of {hits} hits came again" if hits else "none hit"
     if held and again < hits:
