@@ -70,7 +70,7 @@ def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, 
     for place in ("#verdict", "#view svg", "#play", "#hits svg"):
         box = one.page.locator(place).bounding_box()
         assert box["y"] + box["height"] <= 900, place
-    assert re.search(r"Safety margin \d\.\d\d m \[\d\.\d\d, \d\.\d\d\]", one.text("#verdict"))
+    assert re.search(r"Safety margin \d\.\d{3} m \[\d\.\d{3}, \d\.\d{3}\]", one.text("#verdict"))
     episodes, scenario = subjects[1].episodes, subjects[1].scenario
     worst, least = int(episodes.worst_first()[0]), min(hit.distance for of in episodes.margin_hits for hit in of if hit)
     assert one.text("#playing").startswith("The worst episode of planned kamikazes and runs along φ: ")
