@@ -27,9 +27,9 @@ from skd_adversary.car_models.observations import observe
 from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.car_model import recording_of
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS
 from skd_sim.options.car_and_adversary import Objective

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.stages.sequential import LOOKS
+from skd_evaluator.assessment.stages.kamikazes import LOOKS
 from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, clustered_mean, clustered_rate, variance_components
 from skd_evaluator.metrics.frechet import warped_distance
 from skd_evaluator.metrics.sample_size import expected_width, narrow_enough, nominal_confidence

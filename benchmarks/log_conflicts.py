@@ -27,7 +27,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 from skd_evaluator.cli.main import main as skd
-from skd_evaluator.extensions.log.margins import least_deviation
+from skd_evaluator.extensions.log.conflicts import least_deviation
 from skd_sim.scenario.scenario import changed_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_sim.world.state import FloatArray, Trajectory

@@ -29,12 +29,11 @@ from skd_evaluator.assessment.plan import Plan, runs_along
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.kamikazes import with_steering
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import DEEPER, IN_PROCESS, search_margins
 from skd_evaluator.metrics.difference import difference
 from skd_evaluator.metrics.margins import Margins
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.world.episode import EpisodeSpec
 
 COLUMNS = "car", "setting", "seed", "margin (m)", "converged", "budget", "excess (m)", "too high", "CPU (s)"

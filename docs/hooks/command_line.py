@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import Files
 from mkdocs.structure.pages import Page
-from skd_evaluator.cli.parser import commands_of, make_parser
+from skd_evaluator.cli.main import commands_of, make_parser
 
 _COMMANDS = "commands.md"
 

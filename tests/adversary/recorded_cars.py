@@ -5,7 +5,7 @@ from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, Fi
 from skd_adversary.car_models.observations import Observations, observe
 from skd_evaluator.assessment.plan import probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.bags.car_logs import recording_of
+from skd_evaluator.assessment.stages.car_model import recording_of
 from skd_sim import AdversaryState, CarState, Controller, Scenario, load_scenario
 from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.controller import control_period_of, with_control_period

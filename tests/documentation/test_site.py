@@ -12,7 +12,7 @@ import pytest
 from browser import chromium
 from common import run_program
 from packaging_support import PYTHON_PACKAGES, ROOT, SOURCE
-from skd_evaluator.cli.parser import commands_of, make_parser
+from skd_evaluator.cli.main import commands_of, make_parser
 
 OPENED = ("index", "tutorial", "metrics", "commands", "api/skd_evaluator.metrics")
 PROGRAMS = {"cli", "nodes", "ros", "ros_environment"}  # what is run, and not imported

@@ -12,8 +12,7 @@ from cli_support import BRAKE, CROSSING, SMALL, one_line, skd
 from skd_evaluator import load_result
 from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.cli.assessment import begun_with, digest_of_inputs
-from skd_evaluator.cli.main import main
-from skd_evaluator.cli.parser import make_parser, parse
+from skd_evaluator.cli.main import main, make_parser, parse
 from skd_evaluator.margin.paired_test import ERROR, SCALE, e_values, level_of
 from skd_sim.scenario.scenario import load_scenario
 

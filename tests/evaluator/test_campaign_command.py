@@ -20,11 +20,11 @@ from report_support import edit
 from skd_evaluator.assessment.files.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign import results
 from skd_evaluator.extensions.campaign.campaign import CampaignFolder
 from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
 from skd_sim import Mode
+from skd_sim.errors import OutOfReachError
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deviation"}
 SIZES |= {"margin_limit": 8, "behaviour": "none"}

@@ -8,7 +8,7 @@ import pytest
 from cli_support import CONTROLLERS, CROSSING, SMALL, edited, one_line, skd
 from common import run_skd
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.cli.main import make_parser
 from skd_sim.errors import UsageError
 
 

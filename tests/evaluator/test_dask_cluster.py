@@ -11,9 +11,10 @@ import pytest
 from common import wait_until
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run import dask_cluster
-from skd_evaluator.assessment.run.dask_cluster import make_runner
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.assessment.run.dask_cluster import DaskRunner
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim import Mode, UsageError, load_scenario
+from skd_sim.errors import AssessmentError, OutOfReachError
 from stages import rate
 from test_campaign import straight
 
@@ -87,8 +88,8 @@ def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster)
     plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=6, collision_runs=20, seed=3)
     phis = [straight(), straight(0.2, "beside")]
     found = []
-    for address, workers in ((None, 1), (None, 2), (cluster.address, 2)):
-        with make_runner(address, workers) as runner:
+    for runner in (InProcessRunner(1), InProcessRunner(2), DaskRunner(cluster.address)):
+        with runner:
             found.append(rate(plan, [plan.objective], phis, runner))
     figures, *others = [{**one.results[0].figures(), "probability_bound": None} for one in found]
     assert all(other == figures for other in others)
@@ -102,7 +103,7 @@ def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster)
 
 def test_a_users_file_is_sent_and_does_the_same_as_here(cluster, cars):
     episodes = replays(12, f"{cars}:Careful")
-    with make_runner(None, 1, isolated=True) as here, make_runner(cluster.address, 1) as there:
+    with InProcessRunner(1, isolated=True) as here, DaskRunner(cluster.address) as there:
         assert [bits(log) for log in there.run(episodes)] == [bits(log) for log in here.run(episodes)]
 
 
@@ -115,9 +116,9 @@ def test_a_users_file_is_sent_and_does_the_same_as_here(cluster, cars):
     ],
 )
 def test_what_a_users_code_does_is_said_as_in_process(cluster, cars, name, error, parts):
-    with make_runner(cluster.address, 1) as runner, pytest.raises(error, match=parts):
+    with DaskRunner(cluster.address) as runner, pytest.raises(error, match=parts):
         list(runner.run(replays(8, f"{cars}:{name}")))
-    with make_runner(cluster.address, 1) as runner:  # and the workers are still there
+    with DaskRunner(cluster.address) as runner:  # and the workers are still there
         assert len(list(runner.run(replays(4)))) == 4
 
 
@@ -126,17 +127,17 @@ def test_a_package_that_workers_do_not_have_is_one_line(cluster, tmp_path, monke
     (tmp_path / "users_package" / "__init__.py").touch()
     (tmp_path / "users_package" / "car.py").write_text(CAR)
     monkeypatch.syspath_prepend(str(tmp_path))
-    with make_runner(cluster.address, 1) as runner, pytest.raises(UsageError, match="does not have the controller"):
+    with DaskRunner(cluster.address) as runner, pytest.raises(UsageError, match="does not have the controller"):
         list(runner.run(replays(2, "users_package.car:Careful")))
 
 
 def test_workers_that_are_unlike_are_refused_at_the_start_and_later(cluster):
-    with make_runner(cluster.address, 1) as runner:
+    with DaskRunner(cluster.address) as runner:
         runner.start()
         runner._description = {**runner._description, "numpy": "0.9"}
         with pytest.raises(UsageError, match=r"numpy .* instead of 0\.9: all need the same"):
             list(runner.run(replays(2)))
-    runner = make_runner(cluster.address, 1)
+    runner = DaskRunner(cluster.address)
     runner._description = {**runner._description, "numpy": "0.9"}
     with runner, pytest.raises(UsageError, match=r"instead of 0\.9"):
         runner.start()
@@ -144,9 +145,9 @@ def test_workers_that_are_unlike_are_refused_at_the_start_and_later(cluster):
 
 def test_a_killed_worker_costs_nothing(cluster, tmp_path):
     episodes = replays(400)
-    with make_runner(None, 1) as runner:
+    with InProcessRunner(1) as runner:
         expected = [bits(log) for log in runner.run(episodes)]
-    with make_runner(cluster.address, 1) as runner:
+    with DaskRunner(cluster.address) as runner:
         runner.start()
         found = runner.run(episodes)
         first = bits(next(found))
@@ -158,18 +159,18 @@ def test_a_killed_worker_costs_nothing(cluster, tmp_path):
 
 def test_a_scheduler_that_dies_or_was_never_there_is_one_line(cluster, monkeypatch):
     monkeypatch.setattr(dask_cluster, "CONNECT_LIMIT", 2.0)
-    with make_runner(cluster.address, 1) as runner:
+    with DaskRunner(cluster.address) as runner:
         found = runner.run(replays(2000))
         next(found)
         cluster.scheduler.kill()  # the last test of this cluster
         with pytest.raises(OutOfReachError, match=f"the Dask scheduler {cluster.address} is gone"):
             list(found)
     wait_until(lambda: cluster.scheduler.poll() is not None)
-    with make_runner(cluster.address, 1) as runner, pytest.raises(OutOfReachError, match="no Dask scheduler answers"):
+    with DaskRunner(cluster.address) as runner, pytest.raises(OutOfReachError, match="no Dask scheduler answers"):
         runner.start()
 
 
 @pytest.mark.parametrize("address", ["foo", "http://host:8786"])
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(UsageError, match="as tcp://host:8786"):
-        make_runner(address, 1)
+        DaskRunner(address)

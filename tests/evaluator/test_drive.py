@@ -11,8 +11,16 @@ from cli_support import CROSSING, one_line
 from skd_evaluator import Plan, run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
-from skd_evaluator.driving.drive import Controls, Hand, LeftError, Onlooker, Situation, Wish, driving_in_process
-from skd_evaluator.driving.screen import top_view
+from skd_evaluator.driving.drive import (
+    Controls,
+    Hand,
+    LeftError,
+    Onlooker,
+    Situation,
+    Wish,
+    driving_in_process,
+    top_view,
+)
 from skd_sim import AdversaryState, CarState, EpisodeSpec, Mode, load_scenario
 from terminals import Terminal
 

@@ -12,17 +12,17 @@ from cli_support import SMALL, one_line
 from skd_evaluator.assessment.compare.gate import Check, Limit, check_limits
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.episodes import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.gate import Gate
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
 from skd_evaluator.metrics.statistics import mean
-from skd_evaluator.report.summary import junit_xml, markdown
+from skd_evaluator.report.presentation import junit_xml, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, load_scenario
+from skd_sim.errors import AssessmentError
 from skd_sim.options.car_and_adversary import DEFAULT_OBJECTIVES
 from stages import rate
 

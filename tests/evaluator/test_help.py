@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from cli_support import one_line
 from common import run_skd
-from skd_evaluator.cli.parser import Parser, commands_of, make_parser
+from skd_evaluator.cli.main import Parser, commands_of, make_parser
 
 SOURCES = Path(__file__).parents[2] / "ros_ws" / "src"
 LONGEST = 25  # words of a sentence
@@ -113,8 +113,8 @@ def test_no_sentence_is_long_and_no_word_private(commands):
 @pytest.mark.parametrize(
     ("program", "without"),
     [
-        ("import skd_evaluator.cli.results", "scipy.special scipy.optimize matplotlib vl_convert"),
-        ("from skd_evaluator.cli.parser import make_parser; make_parser()", "numpy numba pydantic rich yaml"),
+        ("import skd_evaluator.cli.assessment", "scipy.special scipy.optimize matplotlib vl_convert"),
+        ("from skd_evaluator.cli.main import make_parser; make_parser()", "numpy numba pydantic rich yaml"),
         ("from skd_evaluator.cli.main import main; main(['compare', '--difference', '0.5'])", "matplotlib"),
     ],
     ids=["assess", "help", "plan"],

@@ -9,9 +9,8 @@ from cli_support import names, one_line, skd
 from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.protocols import evaluation
 from skd_evaluator.extensions.protocols.evaluation import requested_tests, scenario_of
-from skd_evaluator.extensions.protocols.layout import margin_text
 from skd_evaluator.extensions.protocols.matrices import known_scenarios, scenarios_of
-from skd_evaluator.extensions.protocols.page import views_of
+from skd_evaluator.extensions.protocols.page import margin_text, views_of
 from skd_evaluator.extensions.protocols.result import (
     RESULT,
     Grid,

@@ -13,7 +13,7 @@ from skd_evaluator.assessment.from_options import name_of_command, plan_of
 from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
 from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.arguments import graph_options
-from skd_evaluator.cli.parser import make_parser, parse
+from skd_evaluator.cli.main import make_parser, parse
 from skd_sim import EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
 from skd_sim.options.car_and_adversary import Objective
 from skd_sim.options.options import (

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import Assessment, Plan, palette
 from skd_evaluator.assessment.assessment import KamikazeSet, ObjectiveResult
-from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.episodes import aborted
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.charts import save_sweep

@@ -20,8 +20,7 @@ from skd_evaluator.metrics.price_of_caution import (
     does_not_get_past,
     stratified_interval,
 )
-from skd_evaluator.report.tables import comparison_table
-from skd_evaluator.report.terminal import print_table
+from skd_evaluator.report.terminal import comparison_table, print_table
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec

@@ -10,8 +10,7 @@ import pytest
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.extensions.protocols.evaluation import ProtocolRequest, evaluated_grid, scenario_of, series_tests
-from skd_evaluator.extensions.protocols.matrices import Criterion, ProtocolMatrix
-from skd_evaluator.extensions.protocols.regulations import REGULATIONS
+from skd_evaluator.extensions.protocols.matrices import REGULATIONS, Criterion, ProtocolMatrix
 from skd_evaluator.extensions.protocols.result import RESULT, GridCell, read_protocol
 from skd_sim.scenario.protocol import impact_offset, regulatory_trajectories
 from skd_sim.scenario.road import road_pose

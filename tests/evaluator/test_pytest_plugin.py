@@ -18,9 +18,8 @@ from skd_evaluator.pytest_plugin import Assessed, Assessor
 CONFTEST = """
 import json, pathlib
 from types import SimpleNamespace
-from skd_evaluator import library
+from skd_evaluator import AssessmentError, library
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.errors import AssessmentError
 
 SKD = SimpleNamespace(distances=SimpleNamespace(mean=1.0))
 FIGURES = json.loads(pathlib.Path("figures.json").read_text())

@@ -14,8 +14,7 @@ from skd_evaluator.report.charts import (
     rating_chart,
     vulnerability_chart,
 )
-from skd_evaluator.report.html.figures import by_scenario, matrix_of
-from skd_evaluator.report.html.page import render
+from skd_evaluator.report.html.page import by_scenario, matrix_of, render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 
 

@@ -18,7 +18,7 @@ from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.episodes import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import kamikazes
 from skd_evaluator.assessment.stages.risk import risk_request

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from skd_evaluator.assessment.files.assessment_json import assessment_schema
-from skd_evaluator.assessment.stages import reference
+from skd_evaluator.assessment.stages import margin
 from skd_evaluator.library import assess
 from skd_evaluator.metrics.margins import ReferenceMargin, reference_text
 
@@ -14,8 +14,8 @@ FEW |= {"objective": "deviation", "behaviour": "none"}
 
 
 def test_drivers_are_compared_by_their_own_margins_in_the_same_trials_and_kept(monkeypatch, tmp_path):
-    monkeypatch.setattr(reference, "REFERENCE_DRIVERS", ("reg157",))
-    monkeypatch.setattr(reference, "cache_folder", lambda: tmp_path / "kernels")
+    monkeypatch.setattr(margin, "REFERENCE_DRIVERS", ("reg157",))
+    monkeypatch.setattr(margin, "cache_folder", lambda: tmp_path / "kernels")
     first = assess("basic", reference=True, **FEW)
     (entry,) = first.as_dict()["reference"]
     own, theirs = first.margins, assess("reg157", **FEW).margins
@@ -24,8 +24,10 @@ def test_drivers_are_compared_by_their_own_margins_in_the_same_trials_and_kept(m
     assert entry["driver"] == "reg157"
     assert entry["margin"] == pytest.approx(theirs.mean, abs=1e-12)
     assert entry["difference"] == pytest.approx(np.mean(own.values - theirs.values), abs=1e-12)
-    monkeypatch.setattr(reference, "minimal_deviations", None)  # not to be called again
+    searches, search = [], margin.minimal_deviations
+    monkeypatch.setattr(margin, "minimal_deviations", lambda *given: searches.append(given) or search(*given))
     assert assess("basic", reference=True, **FEW).as_dict()["reference"] == [entry]
+    assert len(searches) == 1  # of the car alone
     assert set(entry) == set(assessment_schema()["$defs"]["reference"]["required"])
     assert "reference" not in assess("basic", **FEW).as_dict()
 

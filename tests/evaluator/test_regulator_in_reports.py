@@ -9,8 +9,7 @@ import pytest
 from common import assert_valid
 from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.stages.static_tests import place_of
-from skd_evaluator.extensions.protocols.layout import layout_of, reasons
-from skd_evaluator.extensions.protocols.page import views_of
+from skd_evaluator.extensions.protocols.page import layout_of, reasons, views_of
 from skd_evaluator.library import assess
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects

@@ -13,7 +13,7 @@ import pytest
 from cli_support import skd
 from skd_evaluator import AssessmentError, Plan, run_episode
 from skd_evaluator.assessment.episode_figures import standing
-from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.episodes import aborted
 from skd_evaluator.assessment.stages.checks import driving, repeatability
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers.controller import Controller

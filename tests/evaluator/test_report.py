@@ -1,6 +1,7 @@
 """The report without a browser: what the file holds, that it is the results', and that no name of anybody's is code."""
 
 import base64
+import gzip
 import hashlib
 import itertools
 import json
@@ -15,10 +16,10 @@ from report_support import edited
 from skd_evaluator.assessment.from_options import plan_of, scenario_for
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
-from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.cli.main import make_parser
 from skd_evaluator.report.formats import how_unusual
 from skd_evaluator.report.html import page
-from skd_evaluator.report.html.subjects import RESOLUTION, pack, read_subjects, unpack
+from skd_evaluator.report.html.subjects import RESOLUTION, pack, read_subjects
 from skd_evaluator.report.repeat import repeat_command
 from skd_evaluator.report.terminal import headline
 from skd_sim.world.episode import Mode, Outcome
@@ -51,6 +52,10 @@ class Reader(HTMLParser):
             self.scripts[-1] += data
         elif self.open and self.open[-1] != "style":
             self.text += data
+
+
+def unpack(block: str) -> dict:
+    return json.loads(gzip.decompress(base64.b64decode(block)))
 
 
 def read(html: str) -> Reader:

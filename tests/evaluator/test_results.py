@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 from cli_support import names
 from skd_evaluator.assessment.files.result_folder import MANIFEST, ResultFolder, write_json
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.report.presentation import with_scratch
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 
 
 def fill(folder: Path) -> None:

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.cli.arguments import steps_of
+from skd_evaluator.cli.arguments import speeds
 from skd_evaluator.extensions.campaign.cells import make_cells, read_campaign
 from skd_sim import UsageError, load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
@@ -76,10 +76,10 @@ def test_what_is_not_there_is_said_in_one_line(skd_here, words, said):
     one_line(skd_here("scenarios", *words), 2, said)
 
 
-@pytest.mark.parametrize("speeds", ["10", "10:60", "60:10:10", "10:60:0", "a:b:c", "0:60:10", "1:60:0.1", "10:inf:1"])
-def test_speeds_that_are_none_are_refused(speeds):
+@pytest.mark.parametrize("text", ["10", "10:60", "60:10:10", "10:60:0", "a:b:c", "0:60:10", "1:60:0.1", "10:inf:1"])
+def test_speeds_that_are_none_are_refused(text):
     with pytest.raises(argparse.ArgumentTypeError, match="must be FROM:TO:STEP"):
-        steps_of("km/h", 0.0, 200.0)(speeds)
+        speeds(text)
 
 
 def test_a_campaign_of_test_speeds(skd_here, here):

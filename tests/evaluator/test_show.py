@@ -14,8 +14,8 @@ from shapely import Point, Polygon
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.show import shown_episode
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.report.episode_pictures import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.pictures import EpisodePicture
 from skd_evaluator.report.repeat import files_of, repeat_command
 from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
 from skd_sim.world.episode import Mode
@@ -68,7 +68,7 @@ def test_files_that_a_command_needs_and_only_the_result_has_are_told(tmp_path, s
 
 
 def test_films(skd_here, here, result, monkeypatch):
-    monkeypatch.setattr("skd_evaluator.report.episode_pictures._RATE", 3)
+    monkeypatch.setattr("skd_evaluator.report.pictures._RATE", 3)
     assert skd_here("report", str(result), "--format", "gif", "--out", "film").returncode == 0
     with Image.open(here / "film" / "1.gif") as film:
         assert film.n_frames > 5

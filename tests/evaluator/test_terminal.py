@@ -14,8 +14,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP, FIGURES, OF_OBJECT
 from skd_evaluator.assessment.files.assessment_json import assessment_schema
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.report.progress import COMPILING, progress_bar
-from skd_evaluator.report.tables import equal_remarks
-from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_evaluator.report.terminal import equal_remarks, narrow_table, print_table
 from skd_sim.kernels.compilation import on_compiling
 
 NOISY = """

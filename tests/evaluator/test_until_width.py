@@ -15,8 +15,7 @@ from skd_evaluator import Assessment, Plan, clustered_mean
 from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages import sequential
-from skd_evaluator.assessment.stages.sequential import LOOKS
+from skd_evaluator.assessment.stages.kamikazes import LOOKS, run_until_width
 from skd_evaluator.metrics.clustered import DISTANCES
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim import Trajectory, UsageError, load_scenario
@@ -28,7 +27,7 @@ PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_co
 
 def until(wanted: float, plan: Plan = PLAN) -> tuple[Assessment, list[Trajectory]]:
     runner = InProcessRunner(1)
-    found = sequential.run(Context(runner, runner, (Objective.DEVIATION,), until_width=wanted), Assessment(plan))
+    found = run_until_width(Context(runner, runner, (Objective.DEVIATION,), until_width=wanted), Assessment(plan))
     return found, list(found.safe)
 
 

@@ -12,7 +12,7 @@ import pytest
 from common import is_alive, wait_until
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, in_background
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_sim.errors import AssessmentError, OutOfReachError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Mode, Outcome, kind_of
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner, lane_left
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_sim.controllers.controller import Controller, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.options.car_and_adversary import AdversaryModel
@@ -147,7 +147,7 @@ def test_the_node_steers_by_ackermann_commands(tmp_path: Path) -> None:
         "--out", tmp_path / "out",
     )  # fmt: skip
     assert code == 0
-    (found,) = read_episodes([tmp_path / "out"])
+    (found,) = read_bags([tmp_path / "out"]).episodes
     assert found.log.outcome != Outcome.ABORTED
     assert found.log.car[:, 0].min() < -2.5  # it was in the other lane
     assert examine(found.log).ours

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from exchange_support import READERS, recorded, safe, scenarios, walk
-from skd_evaluator.extensions.exchange.xml_formats import write_commonroad
+from skd_evaluator.extensions.exchange.exports import write_commonroad
 from skd_sim.scenario.road import ONCOMING
 from skd_sim.scenario.scenario import load_scenario
 

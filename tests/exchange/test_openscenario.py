@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from exchange_support import passes, recorded, safe, scenarios, walk
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
+from skd_evaluator.extensions.exchange.exports import write_openscenario, write_road
 from skd_evaluator.extensions.exchange.scene import stretch
-from skd_evaluator.extensions.exchange.xml_formats import write_openscenario, write_road
 from skd_evaluator.report.repeat import write_trial
 from skd_sim import Trajectory, load_scenario
 from skd_sim.scenario.road import ONCOMING

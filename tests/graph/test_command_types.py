@@ -9,7 +9,7 @@ import numpy as np
 from graph_support import HERE, assert_same_log, skd
 from rosbags.highlevel import AnyReader
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_sim import AdversaryState, CarState, Scenario
 
 MESSAGES = HERE / "messages"
@@ -37,7 +37,7 @@ def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None
     field = ("-p", "command_field:=longitudinal.acceleration", "-p", "command_steering:=steering_tire_angle")
     done = skd(*run, *VENDOR, *field, "-p", "control_period:=0.1", "--out", tmp_path / "out")
     assert done.code == 0, done.err
-    (found,) = read_episodes([tmp_path / "out"])
+    (found,) = read_bags([tmp_path / "out"]).episodes
     assert found.log.episode.scenario.control_periods == 3
     plain = run_episode(dataclasses.replace(found.log.episode, controller="basic"), Vendor())
     assert plain.car[:, 3].min() < 6.0  # it did brake

@@ -20,7 +20,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
 from skd_evaluator.assessment.stages.car_model import graph_settings, learned
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.controllers.basic import BasicController
@@ -66,7 +66,9 @@ def same_in_recordings(folder: Path, controller: str, wanted: list[EpisodeSpec])
     """The same through a graph of its own, and in its bags, whose logs are returned."""
     with whole_graph(folder, controller=controller, record_to=folder / "bags") as (evaluator, _):
         logs = same_through_the_graph(evaluator, wanted)
-    recorded = {(one.log.episode.mode, one.log.episode.episode_id): one.log for one in read_episodes([folder / "bags"])}
+    recorded = {
+        (one.log.episode.mode, one.log.episode.episode_id): one.log for one in read_bags([folder / "bags"]).episodes
+    }
     kept = [recorded[one.episode.mode, one.episode.episode_id] for one in logs]
     for one, other in zip(logs, kept, strict=True):
         assert_same_log(one, other)
@@ -233,7 +235,7 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
         for name in names:
             assert mine[name].tobytes() == its[name].tobytes(), name
 
-    recorded = [one.log.episode for one in read_episodes([tmp_path / "graph"])]
+    recorded = [one.log.episode for one in read_bags([tmp_path / "graph"]).episodes]
     assert recorded
     assert not any(follows_other_trajectory(episode) for episode in recorded)
     modes = [episode.mode for episode in recorded]

@@ -11,7 +11,7 @@ from graph_nodes import running, start_node, wait_for_end
 from graph_support import Program, assert_same_results, skd_here
 from packaging_support import NODES
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_sim.options.car_and_adversary import AdversaryModel
 
 MODULES = {name: module for name, (_, module) in NODES.items()}
@@ -54,7 +54,7 @@ def test_an_episode_by_hand_is_one_bag_that_replays(tmp_path: Path) -> None:
             program.popen.send_signal(signal.SIGINT)
     assert [program.finish().code for program in programs] == [0, 0, 0]
     (bag,) = (tmp_path / "out" / "bags").iterdir()
-    (read,) = read_episodes([bag])
+    (read,) = read_bags([bag]).episodes
     assert read.log.episode.adversary_model == AdversaryModel.GENERIC
     episode = json.loads((tmp_path / "out" / "episode.json").read_text())
     assert (read.log.outcome.name.lower(), len(read.log.car) - 1) == (episode["outcome"], episode["ticks"])

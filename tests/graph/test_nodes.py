@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from skd_adversary.ros.adversary_node import AdversaryNode
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator_node import EvaluatorProcess
 from skd_sim.ros.controller_node import CarController
@@ -40,7 +40,7 @@ def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Epis
     # the adversary walks along φ, with at most a few ticks of delay
     assert np.abs(log.adversary[:, 1]).max() == 0.0
     assert np.all(np.diff(log.adversary[:, 0]) >= 0.0)
-    recorded = read_episodes([tmp_path / "bags"])
+    recorded = read_bags([tmp_path / "bags"]).episodes
     assert_same_log(recorded[-1].log, log)
 
 
@@ -78,7 +78,7 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: EpisodeSpec
         assert np.all(np.abs(speed[3:] - target) <= 0.2 * target)  # the car's noise, and one tick of delay, remain
     assert kind == f"geometry_msgs/msg/{'TwistStamped' if stamped else 'Twist'}"
     assert count >= len(logs[-1].car) - 1
-    assert len(read_episodes([bags])) == len(logs)
+    assert len(read_bags([bags]).episodes) == len(logs)
 
 
 LEARNED = {"task": "episode", "controller": "external", "adversary_model": "learned"}
@@ -137,7 +137,7 @@ def test_nobody_walks(context, domain, tmp_path, replay, monkeypatch):
     )
     assert len(log.adversary) == 1
     assert math.isnan(log.impact_time)
-    assert_same_log(read_episodes([tmp_path / "bags"])[0].log, log)
+    assert_same_log(read_bags([tmp_path / "bags"]).episodes[0].log, log)
 
 
 def test_nobody_simulates(domain: int, tmp_path: Path, replay: EpisodeSpec) -> None:
@@ -145,7 +145,7 @@ def test_nobody_simulates(domain: int, tmp_path: Path, replay: EpisodeSpec) -> N
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED
     assert "vehicle simulator" in log.reason
-    recorded = read_episodes([tmp_path / "bags"])[0].log
+    recorded = read_bags([tmp_path / "bags"]).episodes[0].log
     assert (recorded.outcome, recorded.reason) == (log.outcome, log.reason)
     assert_same_log(recorded, log)
 

@@ -16,7 +16,7 @@ from skd_evaluator.assessment.episode_figures import command_age
 from skd_evaluator.assessment.from_options import with_requested_period
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim import AdversaryState, CarState, EpisodeSpec, Outcome, Scenario
 from skd_sim.world.episode import AbortKind, kind_of
@@ -108,4 +108,4 @@ def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Pa
     assert 0.0 < figures["median"] <= figures["p99"] <= figures["worst"]
     assert 0.0 <= figures["greatest_delay"] <= 0.5 * STALL
     assert figures["held"] <= len(last.timing.ages)
-    assert read_episodes([tmp_path / "bags"])[-1].log.timing == last.timing
+    assert read_bags([tmp_path / "bags"]).episodes[-1].log.timing == last.timing

@@ -23,7 +23,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_evaluator.ros import stack as stack_module
 from skd_evaluator.ros.graph import is_in_use
 from skd_evaluator.ros.stack import LifecycleNodes
@@ -176,7 +176,7 @@ def test_a_controller_that_is_started_anew_each_time_changes_nothing(tmp_path: P
         logs = list(evaluator.run(wanted))
     for log, one in zip(logs, wanted, strict=True):
         assert_same_log(log, run_episode(one))
-    recorded = {one.log.episode.episode_id: one.log for one in read_episodes([bags])}
+    recorded = {one.log.episode.episode_id: one.log for one in read_bags([bags]).episodes}
     assert len(recorded) == len(wanted)
     for log in logs:
         assert_same_log(recorded[log.episode.episode_id], log)

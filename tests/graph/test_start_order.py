@@ -31,7 +31,7 @@ from graph_support import (
 )
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 
 STAGGER = 0.1  # s between two starts
@@ -74,7 +74,7 @@ def run_order(context: ForkServerContext, folder: Path, plan: Plan, order: tuple
         codes = end([started[name] for name in started if name != EVALUATOR])
         end([started[EVALUATOR]] if EVALUATOR in started else [])
     assert codes == [0, 0, 0]
-    return read_episodes([folder / "out" / "bags"])[0].log
+    return read_bags([folder / "out" / "bags"]).episodes[0].log
 
 
 def test_each_node_may_be_the_last(context, tmp_path, plan, expected):
@@ -177,7 +177,7 @@ def test_misbehaviour_during_an_episode(misbehaved, tmp_path, capsys, controller
     result = json.loads((out / "assessment.json").read_text())
     assert result["aborted"] == 1
     assert (result["kamikaze_trials"], result["collision_runs"]) == (2, 1)  # it was the first run along φ
-    recorded = read_episodes([out / "bags"])
+    recorded = read_bags([out / "bags"]).episodes
     logs = [one.log for one in recorded if one.log.outcome == Outcome.ABORTED]
     assert len(logs) == 1
     assert logs[0].reason.startswith(reason)

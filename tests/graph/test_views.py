@@ -15,8 +15,7 @@ import yaml
 from rclpy.parameter import Parameter
 from skd_adversary.adversary import BelievedCar
 from skd_adversary.ros.adversary_node import AdversaryNode, belief_to_odometry
-from skd_evaluator.assessment.run.assembly import Samples
-from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.run.episodes import Samples, run_episode
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.visualization import episode_markers, recorded_figures
 from skd_sim import CarState, EpisodeLog, EpisodeSpec, Mode, Outcome, Scenario, load_scenario

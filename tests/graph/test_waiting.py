@@ -15,9 +15,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros import stack as stack_module
 from skd_evaluator.ros.stack import FirstCommands
+from skd_sim.errors import AssessmentError
 from skd_sim.ros.diagnosis import Awaited, Evidence, Heard, diagnose
 from skd_sim.ros.support import STREAM
 

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 from common import run_program
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, TaskOptions
-from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.cli.main import make_parser
 from skd_sim.options.options import SimulatorOptions, options_of
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ import yaml
 from common import run_program
 from packaging_support import ROOT
 from skd_evaluator.assessment.files.assessment_json import check_figure
-from skd_evaluator.cli.parser import make_parser, parse
+from skd_evaluator.cli.main import make_parser, parse
 from skd_evaluator.cli.revisions import assess_request
 
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))

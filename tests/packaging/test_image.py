@@ -27,7 +27,7 @@ import pytest
 import yaml
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command, tracked
-from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.bags.read import read_bags
 from skd_sim.ros_environment.installation import (
     cmake_prefix,
     ensure_ros,
@@ -322,7 +322,7 @@ def test_a_node_of_others_runs_in_a_container_of_its_own(image, safe, tmp_path):
         words = [word for name, text in given.items() for word in ("-p", f"{name}:={text}")]
         done = image.run(*command("evaluator", image), *words, "-p", "adversary_model:=generic", **domain)
     assert done.returncode == 0, done.stdout
-    (recorded,) = read_episodes([tmp_path / "out" / "bags"])
+    (recorded,) = read_bags([tmp_path / "out" / "bags"]).episodes
     assert recorded.log.outcome.name.lower() == json.loads((tmp_path / "out" / "episode.json").read_text())["outcome"]
 
 

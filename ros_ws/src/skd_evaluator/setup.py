@@ -57,8 +57,8 @@ setup(
             "benchmark = skd_evaluator.extensions.campaign.benchmark:add_benchmark",
             "protocol = skd_evaluator.extensions.protocols.command:add_protocol",
             "fuse = skd_evaluator.extensions.fusion.command:add_fuse",
-            "export = skd_evaluator.extensions.exchange.export_command:add_export",
-            "import = skd_evaluator.extensions.exchange.import_command:add_import",
+            "export = skd_evaluator.extensions.exchange.command:add_export",
+            "import = skd_evaluator.extensions.exchange.command:add_import",
             "log = skd_evaluator.extensions.log.command:add_log",
         ],
         "skd.checks": [

@@ -1,7 +1,8 @@
+from skd_sim.errors import AssessmentError as AssessmentError
+
 from skd_evaluator.assessment.assessment import Assessment as Assessment
 from skd_evaluator.assessment.plan import Plan as Plan
 from skd_evaluator.assessment.run.episodes import run_episode as run_episode
-from skd_evaluator.errors import AssessmentError as AssessmentError
 from skd_evaluator.library import assess as assess
 from skd_evaluator.library import load_result as load_result
 from skd_evaluator.metrics.clustered import clustered_mean as clustered_mean

@@ -25,8 +25,7 @@ from skd_evaluator.assessment.options import (
     CampaignOptions,
     GraphOptions,
 )
-from skd_evaluator.assessment.run.dask_cluster import make_runner
-from skd_evaluator.assessment.run.workers import available_workers
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.assessment.stages.checks import fresh_process
 from skd_evaluator.assessment.stages.pipeline import assess_in_process
 from skd_evaluator.assessment.stages.risk import risk_request
@@ -99,7 +98,7 @@ def assess(
         objectives = objectives_named(values["objective"])
         risk = risk_request(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
         with nullcontext() if out is None else closing(ResultFolder(Path(out).expanduser())) as folder:
-            runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
+            runner = InProcessRunner(workers or available_workers(), isolated=plan.runs_others_code)
             context = Context(
                 runner,
                 runner,

@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from skd_sim.errors import UsageError
-
-from skd_evaluator.errors import AssessmentError
+from skd_sim.errors import AssessmentError, UsageError
 
 _OUT = "--skd-out"
 __tracebackhide__ = True  # pytest shows the test's own line, not those of this module

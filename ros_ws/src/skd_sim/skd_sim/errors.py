@@ -11,5 +11,9 @@ class AssessmentError(RuntimeError):
     """The assessment failed; the message is one line that says who is to blame."""
 
 
+class OutOfReachError(RuntimeError):
+    """What runs the episodes is gone: no assessment can go on there, and the car is not the cause."""
+
+
 class NoNumberError(AssessmentError):
     """A controller has answered with something else than a finite number."""

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from skd_sim.errors import AssessmentError
 from skd_sim.options.car_and_adversary import (
     DEFAULT_OBJECTIVES,
     RANKING_OBJECTIVES,
@@ -22,7 +23,6 @@ from skd_sim.world.state import FloatArray, Trajectory
 from skd_evaluator.assessment.episode_figures import Surrogates, lane_left, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, OF_OBJECTIVES, Of, entries, figures_html
 from skd_evaluator.assessment.plan import Plan, split_episode_id
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.clustered import GroupedMean, GroupedRate
 from skd_evaluator.metrics.deviation import deviation_pairs, mean_deviation

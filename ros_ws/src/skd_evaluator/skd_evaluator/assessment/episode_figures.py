@@ -253,9 +253,6 @@ class StaticTest(Entry):
         braking_ttc: time to collision when the car began to brake, along the lane with both speeds kept, s; None where
             it did not brake before the target.
         aborted: why it was aborted; empty: it was not.
-
-    Raises:
-        ValueError: one entry contradicts another.
     """
 
     KEYS = "place touched target impact_speed speed_ahead fastest braking_ttc aborted"
@@ -268,12 +265,6 @@ class StaticTest(Entry):
     fastest: float = 0.0
     braking_ttc: float | None = None
     aborted: str = ""
-
-    def __post_init__(self) -> None:
-        """Refuse what no test can have found."""
-        strange = self.impact_speed < 0.0 or self.impact_speed > self.fastest or (self.touched and bool(self.aborted))
-        if strange or (not self.touched and (self.target or self.impact_speed or self.speed_ahead)):
-            raise ValueError(f"the static test at {self.place:g} % contradicts itself")
 
     @classmethod
     def of(cls, place: float, log: EpisodeLog) -> StaticTest:

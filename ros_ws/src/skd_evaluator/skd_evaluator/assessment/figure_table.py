@@ -532,9 +532,8 @@ def figures_html(figures: Mapping[str, Any], warnings: Sequence[str] = ()) -> st
 
 def _row(one: Figure, figures: Mapping[str, Any]) -> str:
     value, interval = figures[one.key], figures.get(f"{one.key}_ci95")
-    label = f"{one.label} ({one.kind.unit})" if one.kind.unit else one.label
     ends = "" if interval is None or None in interval else f"[{_shown(one, interval[0])}, {_shown(one, interval[1])}]"
-    return f"<tr><td>{html.escape(label)}</td><td>{_shown(one, value)}</td><td>{ends}</td></tr>"
+    return f"<tr><td>{html.escape(one.heading)}</td><td>{_shown(one, value)}</td><td>{ends}</td></tr>"
 
 
 def _shown(one: Figure, value: float) -> str:

@@ -112,26 +112,16 @@ def between(before: FloatArray, after: FloatArray, pieces: int) -> FloatArray:
     return path
 
 
-def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> FirstTouch | None:
-    """Return the first touch in a log that counts as a collision, with the adversary or one of the others.
-
-    States are joined by straight lines.
+def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
+    """Return the first touch that counts with the adversary, then with each of the others, as if it were the only one.
 
     Args:
         log: what happened; its states must be finite.
         margin: by how much the car's footprint is made smaller on each side, m.
     """
-    found = [touch for touch in touches(log, margin=margin) if touch is not None]
-    return min(found, default=None)
-
-
-def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
-    """Return the first touch with the adversary, then with each of the others, each as if it were the only one."""
     scenario = log.episode.scenario
-    car, seen = (
-        scenario.car,
-        [scenario.others_at(tick) for tick in range(len(log.adversary))] if scenario.others else [],
-    )
+    car = scenario.car
+    seen = [scenario.others_at(tick) for tick in range(len(log.adversary))] if scenario.others else []
     bodies: list[tuple[Body, FloatArray]] = [(scenario.adversary, log.adversary)]
     bodies += [(other, np.array([at[i][:2] for at in seen])) for i, other in enumerate(scenario.others)]
     found: list[FirstTouch | None] = []
@@ -290,15 +280,12 @@ def _outcome(log: EpisodeLog) -> str:
         stands = log.episode.outcome(tick, AdversaryState(x, y, 0.0, 0.0), collided=collided)
         if tick < last and stands != Outcome.RUNNING:
             return f"ends by its geometry at tick {tick} ({stands.name}), but has {last} ticks"
-        if tick == last and stands != log.outcome and not _interrupted(log, stands):
+        # An episode that was over may count as aborted only with a stated reason.
+        interrupted = log.outcome == Outcome.ABORTED and (stands == Outcome.RUNNING or bool(log.reason))
+        if tick == last and stands != log.outcome and not interrupted:
             how = "is not over" if stands == Outcome.RUNNING else f"ends as {stands.name}"
             return f"has the outcome {log.outcome.name} after {last} ticks, but by its geometry {how}"
     return ""
-
-
-def _interrupted(log: EpisodeLog, stands: Outcome) -> bool:
-    """Whether an episode may count as aborted: one that was over may only with a stated reason."""
-    return log.outcome == Outcome.ABORTED and (stands == Outcome.RUNNING or bool(log.reason))
 
 
 def play_of(time_step: float) -> float:
@@ -377,7 +364,7 @@ def _touched(log: EpisodeLog) -> str:
     scenario = log.episode.scenario
     ticks, step = len(log.adversary) - 1, scenario.time_step
     margin = min(play_of(step), 0.9 * min(scenario.car.half_width, scenario.car.front, scenario.car.rear))
-    touch = first_touch(log, margin=margin)
+    touch = min((one for one in touches(log, margin=margin) if one is not None), default=None)
     slow = touch is not None and (
         touch.speed < scenario.collision.minimum_impact_speed + LARGEST_ACCELERATION * step * 0.5
         and scenario.collision.minimum_impact_speed > 0.0

@@ -127,11 +127,10 @@ class Track:
         form: str = "",
         *,
         drawn: bool = False,
-        notes: tuple[str, ...] = (),
     ) -> Track:
         """Return the track of rows of time (s), x and y (m), in their order; one that is there twice counts once."""
         table = np.array(list(dict.fromkeys(map(tuple, np.asarray(rows).tolist()))), np.float64).reshape(-1, 3)
-        return cls(table[:, 0], table[:, 1:], where, name=name, kind=kind, form=form, drawn=drawn, notes=notes)
+        return cls(table[:, 0], table[:, 1:], where, name=name, kind=kind, form=form, drawn=drawn)
 
     @property
     def jump(self) -> str:

@@ -62,34 +62,28 @@ def percentage(text: str) -> float:
     return float(real_number(0.0, 100.0)(text)) / 100.0
 
 
-def _numbers(text: str, separator: str, count: int) -> tuple[float, ...]:
-    """Return so many finite numbers of a text; nothing where it holds others."""
+def _three_numbers(text: str, separator: str) -> tuple[float, ...]:
+    """Return the three finite numbers of a text; nothing where it holds others."""
     try:
         found = tuple(float(part) for part in text.split(separator))
     except ValueError:
         return ()
-    return found if len(found) == count and all(map(math.isfinite, found)) else ()
+    return found if len(found) == 3 and all(map(math.isfinite, found)) else ()
 
 
-def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]:
-    """Return a parser of numbers above `low` and up to `high`, as FROM:TO:STEP, both ends included."""
-
-    def parse(text: str) -> list[float]:
-        first, last, step = _numbers(text, ":", 3) or (0.0, 0.0, 0.0)
-        count = int((last - first) / step + 1e-9) + 1 if step > 0.0 else 0
-        if not (low < first <= last <= high and 1 <= count <= _MOST_STEPS):
-            raise argparse.ArgumentTypeError(
-                f"must be FROM:TO:STEP in {unit}, above {low:g} and up to {high:g}, at most {_MOST_STEPS} values, as "
-                f"10:60:10; got {text!r}"
-            )
-        return [first + step * number for number in range(count)]
-
-    return parse
+def speeds(text: str) -> list[float]:
+    """Parse speeds (km/h) above 0 and up to 200, as FROM:TO:STEP, both ends included."""
+    first, last, step = _three_numbers(text, ":") or (0.0, 0.0, 0.0)
+    count = int((last - first) / step + 1e-9) + 1 if step > 0.0 else 0
+    if not (0.0 < first <= last <= 200.0 and 1 <= count <= _MOST_STEPS):
+        allowed = f"in km/h, above 0 and up to 200, at most {_MOST_STEPS} values"
+        raise argparse.ArgumentTypeError(f"must be FROM:TO:STEP {allowed}, as 10:60:10; got {text!r}")
+    return [first + step * number for number in range(count)]
 
 
 def frame_place(text: str) -> tuple[float, float, float]:
     """Parse X,Y,DEGREES: where one frame lies in another."""
-    if not (found := _numbers(text, ",", 3)):
+    if not (found := _three_numbers(text, ",")):
         raise argparse.ArgumentTypeError(f"must be X,Y,DEGREES, such as 12.5,-3,90, got {text!r}")
     x, y, degrees = found
     return x, y, degrees
@@ -132,9 +126,9 @@ class Options(argparse._ActionsContainer):
         else:
             self.add_argument(flag, action="store_true", help=text)
 
-    def add_paths(self, name: str, metavar: str, text: str, **rest: Any) -> None:
-        """Add files or folders, one or more of them."""
-        self.add_argument(name, type=Path, **{"nargs": "+", **rest}, metavar=metavar, help=text)
+    def add_paths(self, metavar: str, text: str, **rest: Any) -> None:
+        """Add `paths`: files or folders, one or more of them."""
+        self.add_argument("paths", type=Path, **{"nargs": "+", **rest}, metavar=metavar, help=text)
 
     def add_options(
         self,
@@ -371,13 +365,13 @@ def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_l
     """Return what runs the episodes of a command in process, as the options of `add_runner_arguments` say."""
     from skd_sim.controllers.isolated import CALL_LIMIT
 
-    from skd_evaluator.assessment.run.dask_cluster import make_runner
-    from skd_evaluator.assessment.run.workers import available_workers
+    from skd_evaluator.assessment.run.dask_cluster import DaskRunner
+    from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 
-    workers = arguments.workers or available_workers()
-    return make_runner(
-        getattr(arguments, "scheduler", None), workers, isolated=isolated, answer_limit=answer_limit or CALL_LIMIT
-    )
+    limit = answer_limit or CALL_LIMIT
+    if (address := getattr(arguments, "scheduler", None)) is not None:
+        return DaskRunner(address, answer_limit=limit)
+    return InProcessRunner(arguments.workers or available_workers(), isolated=isolated, answer_limit=limit)
 
 
 def graph_options(arguments: argparse.Namespace) -> GraphOptions:

@@ -15,7 +15,7 @@ from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
 
 from skd_evaluator import palette
 from skd_evaluator.margin.common_trajectories import DistinguishingTrial
-from skd_evaluator.report.episode_pictures import ShownEpisode, save_episode, save_picture
+from skd_evaluator.report.pictures import ShownEpisode, save_episode, save_picture
 from skd_evaluator.report.repeat import SCENARIO_FILE, TRAJECTORY_FILE, program, write_trial
 
 _TEST = '''"""A road user {deviation:.2f} m from a safe trajectory: the car must not hit it.

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, OutOfReachError, UsageError
 from skd_sim.inputs.files import finite_number, real_path
 
 from skd_evaluator.cli.arguments import rare
-from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.files import check_file, write_file
 
 if TYPE_CHECKING:  # this module is imported at every start, and has to be light
@@ -111,7 +110,7 @@ class Gate:
             checks: what became of each condition.
             car: its name, where there is no result.
         """
-        from skd_evaluator.report.summary import junit_xml, markdown
+        from skd_evaluator.report.presentation import junit_xml, markdown
 
         try:
             for name, path in self.files.items():

@@ -24,7 +24,7 @@ from skd_sim.options.registry import CHECKOUTS
 
 from skd_evaluator.assessment.context import Progress
 from skd_evaluator.assessment.options import AssessmentOptions, CampaignOptions
-from skd_evaluator.cli.parser import make_parser, parse
+from skd_evaluator.cli.main import make_parser, parse
 
 _NOT_CODE = (".md", ".rst")
 

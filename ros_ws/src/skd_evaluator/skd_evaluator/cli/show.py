@@ -21,9 +21,9 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import finish
 from skd_evaluator.metrics.surrogate_measures import episode_measures
 from skd_evaluator.metrics.surrogate_scenes import course_of
-from skd_evaluator.report.episode_pictures import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.formats import KeptFailure, kept_failures
 from skd_evaluator.report.html.subjects import Subject, believed_car, chosen_episodes, episode_entry, read_one
+from skd_evaluator.report.pictures import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossing
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.options.car_and_adversary import WORLD, AdversaryModel, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict, with_oncoming_lane
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, Outcome
@@ -31,7 +31,6 @@ from skd_evaluator.assessment.context import Progress, Runner, silent
 from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.candidates import ENOUGH
 from skd_evaluator.margin.search.rounds import SAME, by_episodes, in_processes
 from skd_evaluator.margin.search.search import Earlier, Effort, OtherHit, margins_with_other_hits, search_margins

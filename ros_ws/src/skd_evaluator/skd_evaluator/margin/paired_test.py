@@ -19,14 +19,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome
 from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.context import Progress, silent
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import write_file
 from skd_evaluator.margin.common_trajectories import DistinguishingTrial, TestedCar, smallest_trial
 from skd_evaluator.margin.search.rounds import in_processes

@@ -103,7 +103,7 @@ class Clustered(Entry):
     notes: tuple[str, ...] = ()
 
 
-def student_quantile(degrees_of_freedom: float, confidence: float) -> float:
+def student_quantile(degrees_of_freedom: float, confidence: float = 0.95) -> float:
     """Return how many standard errors a two-sided interval by Student's t reaches to each side."""
     return float(scipy.special.stdtrit(degrees_of_freedom, 0.5 + checked_confidence(confidence) / 2.0))
 

@@ -254,7 +254,7 @@ def crossings_lost(count: int) -> str:
     return "1 crossing was aborted" if count == 1 else f"{count} crossings were aborted"
 
 
-def log_t_interval(estimates: FloatArray, confidence: float = 0.95) -> Interval | None:
+def log_t_interval(estimates: FloatArray) -> Interval | None:
     """Return the interval of the mean of estimates of a small probability: Student's, on the logarithm of the mean.
 
     The logarithm's error is that of the mean over the mean, which is to be above 0; None below two estimates.
@@ -263,5 +263,5 @@ def log_t_interval(estimates: FloatArray, confidence: float = 0.95) -> Interval 
         return None
     value = mean(estimates)
     error = float(np.std(estimates, ddof=1)) / math.sqrt(len(estimates)) / value
-    reach = math.exp(student_quantile(len(estimates) - 1, confidence) * error)
+    reach = math.exp(student_quantile(len(estimates) - 1) * error)
     return value / reach, min(1.0, value * reach)

@@ -63,10 +63,8 @@ class Size:
         return self.safe * self.trials
 
 
-def expected_width(
-    between: float, within: float, safe: int, trials: int, *, prior: Prior | None = None, confidence: float = 0.95
-) -> float:
-    """Return how wide an interval over φ is expected to be.
+def expected_width(between: float, within: float, safe: int, trials: int, *, prior: Prior | None = None) -> float:
+    """Return how wide the 95 % interval over φ is expected to be.
 
     Args:
         between: variance of the φ's own means.
@@ -74,18 +72,17 @@ def expected_width(
         safe: number of φ, ≥ 2.
         trials: number of trials on each φ, ≥ 1.
         prior: what the interval takes as known beforehand. With many φ it makes no difference, and is left out.
-        confidence: two-sided, in (0, 1).
     """
     error, inside = math.sqrt((between + within / trials) / safe), within * safe * (trials - 1.0)
     if prior is None or not prior.can_tell(inside) or safe > _MANY:
-        return 2.0 * student_quantile(safe - 1.0, confidence) * error * mean_of_root(safe - 1.0)
+        return 2.0 * student_quantile(safe - 1.0) * error * mean_of_root(safe - 1.0)
     counts = np.full(safe, float(trials))
     # Means whose sample has no skewness and the variance 1, and the values that their estimated variance may take.
     means = np.linspace(-1.0, 1.0, safe)
     means /= means.std(ddof=1)
     freedom = safe - 1.0
     scales = np.sqrt(safe * scipy.special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _FEW_NODES) * 2.0 / freedom) * error
-    reaches = [prior.interval(scale * means, counts, inside, confidence, _PRECISION) for scale in scales]
+    reaches = [prior.interval(scale * means, counts, inside, 0.95, _PRECISION) for scale in scales]
     widths = np.array([sum(reach) for reach in reaches if reach is not None])
     return float(0.5 * _FEW_WEIGHTS @ widths)
 

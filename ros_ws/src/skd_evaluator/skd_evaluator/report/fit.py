@@ -22,7 +22,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from skd_evaluator.report.episode_pictures import save_picture
+from skd_evaluator.report.pictures import save_picture
 
 _SHOWN_FAMILIES = 8
 CONTRADICTED = 0.001

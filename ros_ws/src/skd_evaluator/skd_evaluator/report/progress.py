@@ -98,22 +98,21 @@ def _in_lines(numbered: Callable[[str], str]) -> Iterator[_Shown]:
 class ProgressLines:
     """Writes a line when a step begins, and after each minute that it takes."""
 
-    def __init__(self, write: Callable[[str, str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, write: Callable[[str, str], None]) -> None:
         """Begin.
 
         Args:
             write: called with the label of a step, and what is said of it.
-            clock: returns the time, s.
         """
-        self._write, self._clock, self._lock = write, clock, threading.Lock()
-        self._silent_until = clock() + SILENT
+        self._write, self._lock = write, threading.Lock()
+        self._silent_until = time.monotonic() + SILENT
         self._begun: dict[str, tuple[float, int]] = {}  # of each step: when, and what was done by then
         self._written: dict[str, float] = {}  # when something was written of it
 
     def update(self, label: str, done: int, total: int) -> None:
         """Learn how far a step is, of which `done` of `total` parts are done."""
         with self._lock:
-            now = self._clock()
+            now = time.monotonic()
             step, _, budget = label.partition(",")  # a search says its budget behind the comma
             begin, before = self._begun.setdefault(step, (now, done))
             if now < self._silent_until:

@@ -18,10 +18,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.errors import AssessmentError
 from skd_sim.world.episode import Role, generator
 from skd_sim.world.state import FloatArray
 
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import OF_PERSON
 from skd_evaluator.metrics.risks import Subsets, Touch, crossings_lost
 from skd_evaluator.risk.crossings import CrossingModel, CrossingPlan, Crossings, Ends

@@ -25,7 +25,7 @@ from skd_adversary.ros.adversary_node import GraphAdversary
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.options.car_and_adversary import is_own_world
 from skd_sim.options.options import CommandOptions
 from skd_sim.ros import support
@@ -55,9 +55,8 @@ from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plausibility import examine
-from skd_evaluator.assessment.run.assembly import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message
+from skd_evaluator.assessment.run.episodes import EpisodeEnd, EpisodeKey, Samples, aborted, result_from_message
 from skd_evaluator.driving.drive import Show
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_evaluator.ros.recording import SETTLE, BagRecorder, recorded_name
 from skd_evaluator.ros.stack import FirstCommands, Health
@@ -236,7 +235,7 @@ class Evaluator(support.GraphNode):
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
         """
-        say = say or self._warn
+        say = say or self.get_logger().warning
         self.failures = AbortedEpisodes(say, log_folder)
         self._campaign, self._silence_limit = campaign, silence_limit
         self._check_processes, self._before_episode, self._after_silence = (
@@ -270,9 +269,6 @@ class Evaluator(support.GraphNode):
             settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
             drive, walk = (recorded_name(self, one) for one in (commands.command_topic, support.Topic.VELOCITY_COMMAND))
             self._recorder = BagRecorder(self, record_to, drive, walk, own_world=own_world, patience=settle, say=say)
-
-    def _warn(self, line: str) -> None:
-        self.get_logger().warning(line)
 
     def destroy_node(self) -> None:
         """Let go of everything."""
@@ -350,12 +346,8 @@ class Evaluator(support.GraphNode):
         """Call a function with each situation from now on; its commands are of the kind that the options say."""
         self._figures.watch(show, commands)
 
-    def give_up(self, reason: str) -> None:
-        """Abort the running episode, whose end is not waited for; to be called while it waits."""
-        self.refuse(AbortKind.OTHER, reason)
-
     def refuse(self, kind: AbortKind, why: str) -> None:
-        """Abort the running episode."""
+        """Abort the running episode, whose end is not waited for; to be called while it waits."""
         self._refused = self._refused or abort_reason(kind, why)
 
     # --- episodes

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.interruption import SIGNALS
 from skd_sim.options.car_and_adversary import AdversaryModel, CarUnderTest, objectives_named
 from skd_sim.options.options import CommandOptions, options_of, values_of
@@ -32,7 +32,6 @@ from skd_evaluator.assessment.run.workers import InProcessRunner, check_controll
 from skd_evaluator.assessment.stages.car_model import learned
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, run_stages
 from skd_evaluator.assessment.stages.safe_trajectories import single_episode
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.presentation import episode_line, fill, fill_episode, with_scratch
 from skd_evaluator.report.terminal import headline

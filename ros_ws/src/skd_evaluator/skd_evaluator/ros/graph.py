@@ -26,14 +26,13 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from skd_adversary.adversary import make_adversary
 from skd_adversary.ros.adversary_node import AdversaryNode
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.ros.commands import car_commands
 from skd_sim.ros.support import spin
-from skd_sim.world.episode import EpisodeLog, EpisodeSpec, counts_in_words
+from skd_sim.world.episode import AbortKind, EpisodeLog, EpisodeSpec, counts_in_words
 
 from skd_evaluator.assessment.options import RESTART, managed_nodes
 from skd_evaluator.driving.drive import Drive, HandFor, LeftError, Show, Wish
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros import processes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.stack import resetting
@@ -248,7 +247,7 @@ class Watched:
         if wish is Wish.QUIT:
             raise LeftError
         if wish is Wish.AGAIN and self._evaluator is not None:
-            self._evaluator.give_up("the user began anew")
+            self._evaluator.refuse(AbortKind.OTHER, "the user began anew")
 
     def driver(self, evaluator: Evaluator) -> Drive:
         """Return what runs an episode of an evaluator's graph."""

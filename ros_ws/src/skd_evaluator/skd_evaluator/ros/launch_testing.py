@@ -8,9 +8,9 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
+from skd_sim.errors import AssessmentError
 
 from skd_evaluator.assessment.files.results import read_result
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.pytest_plugin import Assessed
 
 

@@ -18,17 +18,17 @@ import time
 import uuid
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from skd_sim.controllers.isolated import FAILED_STARTS
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.files import printable
 from skd_sim.options.car_and_adversary import WORLD, CarUnderTest
 from skd_sim.ros_environment.installation import foreign_variables, is_sourced, node_variables
 from skd_sim.world.episode import AbortKind, EpisodeLog, Outcome, abort_reason, kind_of
 
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.errors import AssessmentError
 
 CONTROLLER, ADVERSARY, SIMULATOR = "car_controller", "adversary", "vehicle_simulator"
 _CALLED = {
@@ -191,7 +191,7 @@ class _Process:
                     stderr=subprocess.STDOUT,
                     env=self.program.environment,
                     start_new_session=True,
-                    preexec_fn=_answer_to_sigint,
+                    preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # whatever this process does
                 )
             except OSError as error:
                 raise UsageError(f"{self.name} cannot be started: {error.strerror}: {command[0]}") from error
@@ -321,11 +321,6 @@ class Supervisor:
             self._say(f"{process.name} did not end within {END_LIMIT:g} s of SIGINT; it is killed, with its group")
         for process in processes:
             process.clear_away()
-
-
-def _answer_to_sigint() -> None:
-    """Have a process answer to SIGINT whatever the one that started it does."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class AbortedEpisodes:

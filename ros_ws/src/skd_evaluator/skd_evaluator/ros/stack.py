@@ -23,11 +23,10 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from skd_sim.errors import AssessmentError
 from skd_sim.ros.diagnosis import Awaited, Evidence, Heard, class_of, diagnose, living_publishers
 from skd_sim.ros.support import Topic
 from skd_sim.world.episode import AbortKind, abort_reason
-
-from skd_evaluator.errors import AssessmentError
 
 _WAKE = 0.1  # s
 _LOST_AFTER = 2.0

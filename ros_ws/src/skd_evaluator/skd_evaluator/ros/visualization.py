@@ -28,7 +28,7 @@ from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
-from skd_evaluator.assessment.run.assembly import Samples
+from skd_evaluator.assessment.run.episodes import Samples
 from skd_evaluator.driving.drive import Onlooker, Show
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.surrogate_measures import clearances

@@ -43,7 +43,7 @@ def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
             "objective": first_of(RANKING_OBJECTIVES, one["objectives"]),
             "η_max (m)": f"{one['eta_max']:g}",
             "hit speed (m/s)": f"{hit_speed(one):g}",
-            "maximum distance (m)": _or_none(one.get("maximum_distance")),
+            "maximum distance (m)": "none" if (most := one.get("maximum_distance")) is None else f"{most:g}",
             **_planning(one.get("options") or {}),
         }
         for one in figures
@@ -97,10 +97,6 @@ def _unlike(known: list[dict[str, str]]) -> str:
     return "; ".join(found)
 
 
-def _or_none(value: float | None) -> str:
-    return "none" if value is None else f"{value:g}"
-
-
 _SAYS_NOTHING = frozenset({"name", "description", "sensor", "control_period"})
 """Keys of a scenario that say nothing about the scenario, and on which no safe trajectory depends."""
 _FREE = (
@@ -118,21 +114,17 @@ Different = tuple[str, Any, Any]
 def scenario_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Different | None:
     """Return the first key in which two scenarios differ, with its value in each; None if they are the same.
 
-    The road's friction is of the scenario where both cars have tyres. A car without tyres has no other than 1.
+    The road's friction is of the scenario where both cars have tyres: only they feel it. A car without tyres has no
+    other than 1.
 
     Args:
         one: a scenario as plain data.
         other: the other scenario, in the same form.
     """
-    tyres = all(has_tyres(scenario) for scenario in (one, other))
+    tyres = all(DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres for scenario in (one, other))
     free, found = _FREE if tyres else _FREE | {FRICTION}, changes(one, other)
     compared = (key for key in sorted(found) if free.isdisjoint((key, key.partition(".")[0])))
     return next(((key, *found[key]) for key in compared), None)
-
-
-def has_tyres(scenario: Mapping[str, Any]) -> bool:
-    """Return whether the car of a scenario, as plain data, has tyres: only they feel the road's friction."""
-    return DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres
 
 
 def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
@@ -192,7 +184,7 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
     between = f"{first.folder} and {second.folder}"
     found = []
     ours, theirs = first.figures, second.figures
-    simulators = [_simulator(one) for one in (first, second)]
+    simulators = [str((one.get("options") or {}).get("simulator", WORLD)) for one in (ours, theirs)]
     if simulators[0] != simulators[1]:
         said = f"{simulators[0]} and {simulators[1]}"
         found.append(f"{between} are of different simulators, {said}: what differs may be these and not the cars")
@@ -219,10 +211,6 @@ def different_phi(first: StoredResult, second: StoredResult) -> list[str]:
         return []
     between = f"{first.folder} and {second.folder}"
     return [f"{between} are of different φ: compared as two samples, which takes more φ to find a difference"]
-
-
-def _simulator(result: StoredResult) -> str:
-    return str((result.figures.get("options") or {}).get("simulator", WORLD))
 
 
 def warnings_of(result: StoredResult) -> list[str]:

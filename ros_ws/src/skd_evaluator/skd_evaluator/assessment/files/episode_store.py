@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
@@ -29,7 +29,6 @@ from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Outcome, Timing
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.context import Runner
-from skd_evaluator.errors import AssessmentError
 
 DIGEST_BYTES = 16
 

@@ -21,13 +21,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from skd_sim.controllers.isolated import CALL_LIMIT, end_children, set_call_limit
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, OutOfReachError, UsageError
 from skd_sim.options.car_and_adversary import CONTROLLERS, CarUnderTest
 from skd_sim.start import installing
 from skd_sim.world.episode import AbortKind, EpisodeSpec, abort_reason
 
-from skd_evaluator.assessment.run.workers import Done, InProcessRunner, Pace, Workers, do, warm_up_with
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.assessment.run.workers import Done, Pace, Workers, do, warm_up_with
 from skd_evaluator.provenance import code_paths, digest_of, environment, files_of
 
 _PROTOCOL = 4
@@ -334,24 +333,3 @@ class DaskRunner(Workers):
 def _shortened(error: BaseException) -> str:
     """Return what an exception says, in one line that is not too long."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-
-
-def make_runner(
-    scheduler: str | None, workers: int, *, isolated: bool = False, answer_limit: float = CALL_LIMIT
-) -> Workers:
-    """Return what runs episodes, a context manager; the results are the same wherever they run.
-
-    It may be used by several threads at once. Call its `start` before other threads start.
-
-    Args:
-        scheduler: address of a Dask scheduler, for example tcp://host:8786; None: processes of this machine.
-        workers: number of processes on this machine; of no meaning with a scheduler.
-        isolated: whether episodes with a user's own controller are to come.
-        answer_limit: time that a call of a user's controller may take, s.
-
-    Raises:
-        UsageError: the address is none.
-    """
-    if scheduler is None:
-        return InProcessRunner(workers, isolated=isolated, answer_limit=answer_limit)
-    return DaskRunner(scheduler, answer_limit=answer_limit)

@@ -37,15 +37,13 @@ from skd_sim.controllers.isolated import (
     portable,
     set_call_limit,
 )
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, OutOfReachError, UsageError
 from skd_sim.interruption import SIGNALS
 from skd_sim.options.car_and_adversary import CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
-from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.assessment.run.episodes import aborted, run_episode
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")

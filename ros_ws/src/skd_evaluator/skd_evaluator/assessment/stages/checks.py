@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from skd_sim.controllers.controller import with_control_period
 from skd_sim.controllers.isolated import CALL_LIMIT
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.options.car_and_adversary import EXTERNAL, is_own_world
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
@@ -33,7 +33,6 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Fresh, Runner, stage
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED, aborted_lines
 
 SAMPLE: Final = 24
@@ -85,7 +84,7 @@ def fresh_process(answer_limit: float = CALL_LIMIT) -> Iterator[Runner]:
 # --- the same again
 
 
-def sample_of(logs: Sequence[EpisodeLog], most: int = SAMPLE) -> list[EpisodeLog]:
+def sample_of(logs: Sequence[EpisodeLog]) -> list[EpisodeLog]:
     """Return some episodes, evenly spread over all that can be repeated.
 
     Aborted episodes cannot, nor can those of other simulators, nor those in real time.
@@ -95,7 +94,7 @@ def sample_of(logs: Sequence[EpisodeLog], most: int = SAMPLE) -> list[EpisodeLog
         for log in logs
         if log.outcome != Outcome.ABORTED and is_own_world(log.episode.simulator) and log.timing.delay == 0.0
     ]
-    return [able[number * len(able) // most] for number in range(most)] if len(able) > most else able
+    return [able[number * len(able) // SAMPLE] for number in range(SAMPLE)] if len(able) > SAMPLE else able
 
 
 def is_same(first: EpisodeLog, second: EpisodeLog) -> bool:

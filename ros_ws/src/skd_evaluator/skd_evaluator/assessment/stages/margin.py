@@ -6,7 +6,9 @@ them. So the margins are a property of the car, and do not depend on what an adv
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -14,12 +16,15 @@ from dataclasses import replace
 
 import numpy as np
 from skd_adversary.adversary import warm_up_episodes
-from skd_sim.errors import UsageError
-from skd_sim.kernels.compilation import is_kept
-from skd_sim.options.car_and_adversary import is_own_world
+from skd_sim.controllers.controller import with_control_period
+from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.inputs.files import read_json
+from skd_sim.kernels.compilation import cache_folder, is_kept
+from skd_sim.options.car_and_adversary import REFERENCE_DRIVERS, WORLD, AdversaryModel, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import FREE, OCCUPIED, with_oncoming_lane
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode
+from skd_sim.world.state import FloatArray, Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, Runner, stage
@@ -27,9 +32,9 @@ from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers, available_workers, in_background
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import replace_file
 from skd_evaluator.margin.actions import has_exact_margin
-from skd_evaluator.margin.basic_margins import equivalent_of
+from skd_evaluator.margin.basic_margins import equivalent_of, margins_key
 from skd_evaluator.margin.common_trajectories import earlier_version, whole_trajectory
 from skd_evaluator.margin.exact.exact import exact_margin, search_least
 from skd_evaluator.margin.search.rounds import SAME, by_episodes, confirmed, in_processes, one_by_one
@@ -45,7 +50,15 @@ from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.frechet import discrete_frechet
-from skd_evaluator.metrics.margins import SEARCHED_BY, EquivalentMultiplier, Margins, Search
+from skd_evaluator.metrics.margins import (
+    SEARCHED_BY,
+    EquivalentMultiplier,
+    Margins,
+    ReferenceMargin,
+    Search,
+    difference,
+)
+from skd_evaluator.version import version
 
 LABEL = "margin"
 WHOLE_EPISODE_TRIALS = 5
@@ -290,10 +303,15 @@ def margins_compiled_in_background(*, needed: bool = True) -> Iterator[Callable[
     Args:
         needed: whether any margin is to be computed; if not, nothing is done.
     """
+
+    def compile_anew() -> None:
+        warm_up_margins()
+        discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))
+
     with ExitStack() as stack:
         wait: Callable[[], bool] | None = None
         if needed and available_workers() > 1 and not is_kept(search_least):
-            wait = stack.enter_context(in_background(_compile))
+            wait = stack.enter_context(in_background(compile_anew))
 
         def load() -> None:
             if wait is not None:
@@ -304,6 +322,68 @@ def margins_compiled_in_background(*, needed: bool = True) -> Iterator[Callable[
         yield load
 
 
-def _compile() -> None:
-    warm_up_margins()
-    discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))
+MOST_TRIALS = 60
+"""In which the drivers are compared."""
+
+
+@stage(75)
+def run_reference(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with the margins of all reference drivers in the car's first trials, where requested.
+
+    They are searched for as those of any car: some ten seconds for each driver. They are kept in the user's cache,
+    beside those of basic cars, under the hash of all that they depend on, so that the next car in these trials has them
+    at once.
+    """
+    margins = assessment.margins
+    if not context.reference or margins is None:
+        return assessment
+    each = min(len(margins.per_phi[0]), math.ceil(MOST_TRIALS / len(assessment.safe)))
+    own = [np.minimum(one[:each], margins.eta_max) for one in margins.per_phi]
+    found, warnings = [], list(assessment.warnings)
+    for name in REFERENCE_DRIVERS:
+        try:
+            theirs, converged = _reference_margins(_plan_of(assessment.plan, name), assessment.safe, each, context)
+        except (AssessmentError, UsageError) as error:
+            warnings.append(f"not compared with reference driver {name}: {error}")
+            continue
+        compared = difference(own, theirs)
+        if compared is None or compared.ci95 is None:
+            warnings.append("not compared with reference drivers: that needs two safe trajectories")
+            break
+        bounds = not margins.converged, not converged
+        found.append(
+            ReferenceMargin(name, float(np.mean(theirs)), compared.mean, compared.ci95, compared.trials, bounds)
+        )
+    return replace(assessment, reference=tuple(found), warnings=tuple(warnings))
+
+
+def _plan_of(plan: Plan, name: str) -> Plan:
+    """Return the plan with a reference driver in the place of the car, in SKD's own world."""
+    period = CarUnderTest(name).kind.control_period
+    scenario = with_control_period(replace(plan.scenario, control_period=None), period, name)
+    known = AdversaryModel.GENERIC  # nothing is planned
+    return replace(plan, scenario=scenario, controller=name, adversary_model=known, car_model="", simulator=WORLD)
+
+
+def _reference_margins(
+    plan: Plan, safe: Sequence[Trajectory], each: int, context: Context
+) -> tuple[list[FloatArray], bool]:
+    """Return a driver's margins in the first trials of each φ (m), and whether the search for them has converged."""
+    driver = [plan.controller, context.margin_limit, version()]
+    file = cache_folder().with_name("margins") / f"{margins_key(plan.scenario, safe, plan.seed, each, driver)}.json"
+    with contextlib.suppress(UsageError, KeyError, TypeError, ValueError):
+        kept = read_json(file)
+        values = np.array(kept["margins"], dtype=np.float64)
+        if values.shape == (len(safe), each) and (values >= 0.0).all():
+            return list(values), bool(kept["converged"])
+
+    def progress(label: str, done: int, total: int) -> None:
+        context.progress(f"{label}, {plan.controller}", done, total)
+
+    hits, search = minimal_deviations(plan.trials(safe, each), {}, context.workers, progress, context.margin_limit)
+    found = Margins((tuple(hits),), plan.scenario.eta_max, search)
+    values = found.values.reshape(len(safe), each)
+    with contextlib.suppress(OSError, UsageError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(file, json.dumps({"margins": values.tolist(), "converged": found.converged}))
+    return list(values), found.converged

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
+from skd_sim.errors import AssessmentError
 from skd_sim.scenario.road import beside_road, right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import repeats_itself
@@ -23,7 +24,6 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Runner, stage
 from skd_evaluator.assessment.episode_figures import lane_left
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.price_of_caution import BRAKING_LASTS, HARD_BRAKING, HORIZON, HarmlessRun, PriceOfCaution
 
 LABEL: Final = "price of caution"

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.options.car_and_adversary import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Role, generator
@@ -27,7 +27,6 @@ from skd_evaluator.assessment.options import NO_BEHAVIOUR
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch

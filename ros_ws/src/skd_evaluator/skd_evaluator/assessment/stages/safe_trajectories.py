@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.scenario.scenario import Scenario, check_trajectory
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome, Role, generator
 from skd_sim.world.state import Trajectory
@@ -18,7 +18,6 @@ from skd_evaluator.assessment.context import Context, Progress, Runner, run_epis
 from skd_evaluator.assessment.options import GENERATED, OWN, WALKERS
 from skd_evaluator.assessment.plan import EpisodeGroup, Plan, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import load_behaviour, normals_of, walked
 
 TRIALS_PER_REQUESTED = 20

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from skd_sim.errors import AssessmentError
 from skd_sim.options.car_and_adversary import CarUnderTest, is_own_world
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario
@@ -13,7 +14,6 @@ from skd_sim.world.episode import EpisodeSpec, Mode
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, stage
 from skd_evaluator.assessment.episode_figures import StaticTest
-from skd_evaluator.errors import AssessmentError
 
 
 def without_noise(scenario: Scenario) -> Scenario:

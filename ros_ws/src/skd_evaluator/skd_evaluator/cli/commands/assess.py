@@ -11,7 +11,7 @@ from skd_sim.options.car_and_adversary import CarUnderTest
 
 from skd_evaluator.cli.arguments import DETAILS, Parser, parameters_of, positive_number, rare
 from skd_evaluator.cli.gate import add_gate_arguments, gate_of
-from skd_evaluator.cli.parser import make_parser, parse
+from skd_evaluator.cli.main import make_parser, parse
 from skd_evaluator.files import UNFINISHED, is_unfinished, unfinished
 
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 
 from skd_evaluator.assessment.options import OWN
 from skd_evaluator.cli.arguments import Parser, result_folder, runner_of
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.errors import AssessmentError
 
 if TYPE_CHECKING:
     from skd_sim.world.state import Trajectory

@@ -1,4 +1,4 @@
-"""`skd compare`: several assessments side by side, each compared with the first."""
+"""`skd compare`: several assessments side by side, each compared with the first; or how many φ a certainty takes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import shutil
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +19,12 @@ from skd_evaluator.cli.gate import add_limits, limit_failures, limits_of
 from skd_evaluator.cli.output import finish, is_read
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from skd_evaluator.assessment.files.results import StoredResult
     from skd_evaluator.cli.explain import Explanation
+    from skd_evaluator.metrics.clustered import VarianceComponents
+    from skd_evaluator.metrics.sample_size import Size
 
 
 def add(parser: Parser) -> None:
@@ -31,7 +36,7 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="compare and gate", words=[])
     text = "folder of an assessment, a campaign, or one above some; the others are compared with the first"
-    parser.add_paths("paths", "DIR", text, nargs="*")
+    parser.add_paths("DIR", text, nargs="*")
     text = "find the smallest trial in which only one of two cars hits, and write it as scenario, test and pictures"
     parser.add_flag("--explain", text)
     text = "rate the car of two git revisions and compare these; after -- follow options of skd assess"
@@ -54,12 +59,12 @@ def add(parser: Parser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    if arguments.width is not None or arguments.difference is not None:
-        from skd_evaluator.cli import plan
-
-        return plan.run(arguments)
     from skd_evaluator.assessment.files.assessment_json import understood
     from skd_evaluator.assessment.files.results import read_result, result_folders
+
+    if arguments.width is not None or arguments.difference is not None:
+        with understood(Path("one of the results")):
+            return _plan(arguments, list(map(read_result, arguments.paths)))
 
     def compared(folders: Sequence[Path], controller: str = "") -> int:
         if len(folders) < 2:
@@ -97,8 +102,7 @@ def _compare(arguments: argparse.Namespace, results: Sequence[StoredResult], con
     from skd_evaluator.margin.common_trajectories import distinguishing_trials, on_common_trajectories
     from skd_evaluator.metrics.aborted import not_credible
     from skd_evaluator.report.progress import progress_bar
-    from skd_evaluator.report.tables import comparison_table, equal_remarks, verdict_table
-    from skd_evaluator.report.terminal import print_table
+    from skd_evaluator.report.terminal import comparison_table, equal_remarks, print_table, verdict_table
 
     names, limits = labels(results), limits_of(arguments)
     out = result_folder(arguments)
@@ -182,3 +186,138 @@ def labels(results: Sequence[StoredResult]) -> list[str]:
         car if often[car] == 1 else f"{car} ({tail})"
         for car, tail in zip(cars, tails([result.folder for result in results]), strict=True)
     ]
+
+
+_STATED = {
+    "margin": ((0.058**2, 0.340**2), (0.007**2, 0.174**2)),
+    "deviation": ((0.069**2, 0.41**2), (0.022**2, 0.28**2)),
+}
+"""By figure, variances (m²) between and within φ: of the basic car at C = 1 on synthetic φ, and of its difference to
+C = 1.05 on the same φ and draws (`benchmarks/margin_variances.py`, of the difference what it is at most;
+`benchmarks/comparison.py`): assumed where no result is given."""
+_FEW = 10
+
+
+@dataclass(frozen=True)
+class _Variances:
+    """Variances to plan with: of one car, or of a difference on the same φ; and where they are from."""
+
+    components: VarianceComponents
+    paired: bool
+    text: str
+    phi: int | None = None
+
+
+def _plan(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
+    """Say how many φ, and how many kamikazes for each, a wanted certainty takes; return the exit code."""
+    from skd_evaluator.metrics.clustered import DISTANCES
+    from skd_evaluator.metrics.sample_size import COUNTS, sizes_for_power, sizes_for_width
+    from skd_evaluator.report.terminal import print_table
+
+    source = _source(arguments, results)
+    between, within = source.components.between, source.components.within
+    if between is None or within is None:
+        raise UsageError(f"{source.text}, which takes at least 2 φ with 2 trials each")
+    counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
+    if arguments.width is not None:
+        prior = None if arguments.figure == "contact_rate" else DISTANCES
+        sizes = sizes_for_width(arguments.width, between, within, prior=prior, counts=counts)
+    else:
+        goal = arguments.difference, arguments.power
+        sizes = sizes_for_power(*goal, between, within, paired=source.paired, counts=counts)
+    if not sizes:
+        raise UsageError("even 10,000 φ are not enough: ask for a wider interval or a larger difference")
+    cheapest = min(sizes, key=lambda size: (size.episodes, size.safe))
+    content = {
+        "figure": arguments.figure,
+        "variance_between": between,
+        "variance_within": within,
+        "source": source.text,
+        "paired": source.paired,
+        "sizes": [{**asdict(size), "episodes": size.episodes} for size in sizes],
+        "cheapest": asdict(cheapest),
+    }
+
+    def show() -> None:
+        unit = "" if arguments.figure == "contact_rate" else " m"
+        what, goal = "", f"an interval of {arguments.width}"
+        if arguments.width is None:
+            what, goal = "the difference in ", f"a difference of {arguments.difference}"
+        of_what = f"{what}{arguments.figure.replace('_', ' ')}"
+        print(f"{source.text}, for {goal}{unit}.")
+        print(f"Standard deviation of {of_what}: {between**0.5:.3f}{unit} between φ, {within**0.5:.3f}{unit} on one φ.")
+        print_table(_sizes_table(sizes, cheapest))
+        print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
+
+    warnings = [line for one in results for line in one.remarks]
+    if source.phi is not None and source.phi < _FEW:
+        advice = "take more, or --until-width, which does not rely on it"
+        warnings.append(f"planned from {source.phi} φ, which is uncertain: {advice}")
+    return finish(arguments, content, show, warnings)
+
+
+def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _Variances:
+    """Return the variances to plan with.
+
+    Raises:
+        UsageError: results that do not suffice for what is asked.
+    """
+    from skd_evaluator.metrics.clustered import VarianceComponents, variance_components
+
+    if len(results) > 2:
+        raise UsageError("give one result, or for --difference two of the same φ")
+    if not results:
+        if arguments.figure not in _STATED:
+            raise UsageError(f"--figure {arguments.figure} needs a result of skd assess to plan with")
+        of_one, of_a_difference = (VarianceComponents(*one) for one in _STATED[arguments.figure])
+        if arguments.width is not None or arguments.unpaired:
+            return _Variances(of_one, False, "Planned as for the basic car with C = 1 (an earlier result plans better)")
+        text = "Planned as for the basic cars with C = 1 and 1.05 (two earlier results plan better)"
+        return _Variances(of_a_difference, True, text)
+    for one in results:
+        if arguments.figure not in one.groups:
+            none = f"no {arguments.figure} ({one.figures['margin_note']})"
+            raise UsageError(f"{one.folder} has {none}: choose another --figure")
+    first = results[0]
+    groups = first.groups[arguments.figure]
+    if len(results) == 1:
+        if arguments.difference is not None and not arguments.unpaired:
+            advice = "give two, or add --unpaired for different φ"
+            raise UsageError(f"--difference on the same φ is planned from two results: {advice}")
+        return _Variances(variance_components(groups), False, f"Planned from {first.folder}", len(groups))
+    if arguments.width is not None or arguments.unpaired:
+        raise UsageError("two results are for --difference of cars on the same φ; give one")
+    return _paired_source(first, results[1], arguments.figure)
+
+
+def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _Variances:
+    import numpy as np
+
+    from skd_evaluator.assessment.compare.comparability import PLANNED
+    from skd_evaluator.assessment.compare.comparison import compare
+    from skd_evaluator.metrics.clustered import variance_components
+
+    held = compare(first, second)
+    if held.refusals:
+        raise UsageError(held.refusals[0])
+    if figure in PLANNED and figure not in held.differences:
+        raise UsageError(held.planned_refusal or f"{first.folder} and {second.folder} have no {figure} in common")
+    if not first.same_safe(second.safe):
+        raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
+    pairs = zip(first.groups[figure], second.groups[figure], strict=True)
+    differences = [np.subtract(other[: len(one)], one[: len(other)]) for one, other in pairs]
+    text = f"Planned from {first.folder} and {second.folder}"
+    return _Variances(variance_components(differences), True, text, len(differences))
+
+
+def _sizes_table(sizes: Sequence[Size], cheapest: Size) -> Table:
+    from skd_evaluator.report.terminal import narrow_table
+
+    rows = []
+    for size in sizes:
+        power = "—" if size.power is None else f"{100 * size.power:.0f} %"
+        cells = (str(size.trials), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
+        rows.append([f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells])
+    return narrow_table(
+        "Each of these sizes is enough", ("trials\non each φ", "φ", "episodes", "width of\ninterval", "power"), rows
+    )

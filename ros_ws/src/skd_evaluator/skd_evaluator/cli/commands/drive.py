@@ -11,20 +11,18 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.files import one_line
 
 from skd_evaluator.assessment.options import GENERATED, SYNTHETIC, CampaignOptions, GraphOptions
 from skd_evaluator.cli.arguments import Parser
 from skd_evaluator.cli.output import finish, say
-from skd_evaluator.errors import AssessmentError
 
 if TYPE_CHECKING:
     from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 
     from skd_evaluator.assessment.plan import Plan
-    from skd_evaluator.driving.drive import Controls, Drive
-    from skd_evaluator.driving.screen import Screen
+    from skd_evaluator.driving.drive import Controls, Drive, Screen
 
 _NAP = 0.05  # s between two looks at the keys
 _LENIENT = 3600.0  # s that the simulator may be late: nothing is rated here
@@ -54,8 +52,16 @@ def add(parser: Parser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code: 1 where an episode was aborted."""
     from skd_evaluator.assessment.files.results import episode_summary
-    from skd_evaluator.driving.drive import Controls, reading_keys
-    from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing
+    from skd_evaluator.driving.drive import (
+        KEYS,
+        KEYS_OF_ONLOOKER,
+        Controls,
+        Lines,
+        Screen,
+        can_draw,
+        drawing,
+        reading_keys,
+    )
     from skd_evaluator.report.presentation import episode_line
     from skd_evaluator.ros.session import prepare_ros
 

@@ -22,7 +22,7 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="research")
     text = "a bag folder, an .mcap file, episodes.npz, or a folder of them. With --people: CITR, or csv with t, x, y"
-    parser.add_paths("paths", "PATH", text)
+    parser.add_paths("PATH", text)
     people = parser.add_argument_group("people")
     people.add_flag("--people", "fit a behaviour model to tracks of people, not a model of a car")
     people.add_value("--name", "what it is called", default="fitted", metavar="NAME")
@@ -41,9 +41,9 @@ def _fit_car(arguments: argparse.Namespace) -> int:
     from skd_adversary.car_models.fit import learn_car
     from skd_adversary.car_models.observations import observe
 
-    from skd_evaluator.bags.car_logs import read_recordings
+    from skd_evaluator.assessment.stages.car_model import read_recordings
     from skd_evaluator.bags.checks import Damage
-    from skd_evaluator.cli.results import say_damage
+    from skd_evaluator.cli.assessment import say_damage
     from skd_evaluator.report import fit
     from skd_evaluator.report.terminal import print_table
     from skd_evaluator.version import version
@@ -86,7 +86,7 @@ def _fit_people(arguments: argparse.Namespace) -> int:
 
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.bags.checks import Damage
-    from skd_evaluator.cli.results import say_damage
+    from skd_evaluator.cli.assessment import say_damage
     from skd_evaluator.metrics.behaviour.model import FILE_NAME, write_behaviour
     from skd_evaluator.report.fit import behaviour_table, save_behaviour, validation_table
     from skd_evaluator.report.progress import progress_bar

@@ -38,7 +38,7 @@ def add(parser: Parser) -> None:
     """
     parser.set_defaults(group="look")
     text = "folder of results, or one above some (default: skd_results)"
-    parser.add_paths("paths", "DIR", text, nargs="*", default=[Path("skd_results")])
+    parser.add_paths("DIR", text, nargs="*", default=[Path("skd_results")])
     parser.add_value("--car", "only cars whose name holds this text", metavar="TEXT")
     parser.add_value("--scenario", "only scenarios whose name holds this text", metavar="TEXT")
     parser.add_value("--sort", "in which order", choices=tuple(_KEYS), default="date")

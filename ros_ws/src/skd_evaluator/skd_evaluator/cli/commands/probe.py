@@ -50,8 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.assessment.from_options import check_car
     from skd_evaluator.assessment.plan import probe_episodes
-    from skd_evaluator.cli.results import say_aborted
+    from skd_evaluator.cli.assessment import why_aborted
     from skd_evaluator.metrics.aborted import not_credible
+    from skd_evaluator.report.formats import counted
     from skd_evaluator.report.presentation import with_scratch
     from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.ros.session import prepare_ros
@@ -108,7 +109,9 @@ def run(arguments: argparse.Namespace) -> int:
     every = f"all episodes were aborted: {aborted[0]}" if len(aborted) == len(logs) else None
     saved = problem, f"logs in {out.path}; next: skd fit {out.path}"
     code = finish(arguments, summary, show, other, [*failures, every], saved=saved, since=begin)
-    say_aborted("probe", aborted, len(logs), out)
+    if aborted:
+        many = f"{len(aborted)} of {counted(len(logs), 'episode')} aborted"
+        say("probe", f"{many}: {why_aborted(aborted, out.path / 'logs')}")
     return code
 
 

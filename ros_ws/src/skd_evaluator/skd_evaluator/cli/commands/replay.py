@@ -19,7 +19,7 @@ def add(parser: Parser) -> None:
     Rate a car from recorded episodes, offline, recorded by SKD or by ros2 bag record.
     """
     parser.set_defaults(group="rate")
-    parser.add_paths("paths", "PATH", "a bag folder, an .mcap file, or a folder of them")
+    parser.add_paths("PATH", "a bag folder, an .mcap file, or a folder of them")
     parser.add_value("--campaign", "which campaign to rate, if the bags hold several", metavar="NAME")
     text = "leave out each kamikaze that ended further than this many metres from its safe trajectory"
     parser.add_value("--maximum-distance", rare(text), type=positive_number, metavar="M")
@@ -43,9 +43,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
     from skd_evaluator.assessment.stages import margin
     from skd_evaluator.bags.checks import Damage
-    from skd_evaluator.bags.read import read_bags
-    from skd_evaluator.bags.replay import assessment_from_logs
-    from skd_evaluator.cli.results import print_result, say_damage, say_left_out
+    from skd_evaluator.bags.read import assessment_from_logs, read_bags
+    from skd_evaluator.cli.assessment import print_result, say_damage, say_left_out
     from skd_evaluator.margin.actions import has_exact_margin
     from skd_evaluator.provenance import provenance
     from skd_evaluator.report.presentation import fill

@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 
 from skd_evaluator.cli.arguments import Parser, output_path, whole_number
 from skd_evaluator.cli.output import finish
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 
 
@@ -21,7 +20,7 @@ def add(parser: Parser) -> None:
     repeats each.
     """
     parser.set_defaults(group="look")
-    parser.add_paths("paths", "DIR", "folder of an assessment, a sweep or a campaign, or one above some")
+    parser.add_paths("DIR", "folder of an assessment, a sweep or a campaign, or one above some")
     text = "html for the page, png for pictures, gif or mp4 (with ffmpeg) for films at half speed"
     parser.add_value("--format", text, choices=("html", "png", "gif", "mp4"), default="html")
     which = parser.add_argument_group("pictures and films").add_mutually_exclusive_group()

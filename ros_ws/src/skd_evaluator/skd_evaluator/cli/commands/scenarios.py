@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 
-from skd_evaluator.cli.arguments import Parser, result_folder, steps_of
+from skd_evaluator.cli.arguments import Parser, result_folder, speeds
 from skd_evaluator.cli.output import finish
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def add(parser: Parser) -> None:
     parser.add_value("action", text, metavar="ACTION", nargs="?", default="list")
     parser.add_value("names", "names or files of scenarios", nargs="*", metavar="NAME")
     text = "with campaign, test speeds of the car, km/h, as 10:60:10"
-    parser.add_value("--speeds", text, type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP")
+    parser.add_value("--speeds", text, type=speeds, metavar="FROM:TO:STEP")
     text = "folder for the pictures, or with campaign the file to write (default: skd_results/scenarios-<time>)"
     parser.add_output("PATH", text)
 
@@ -100,8 +99,8 @@ def _show(arguments: argparse.Namespace, scenarios: Sequence[Scenario]) -> int:
     from skd_sim.scenario.scenario_file import REGULATORY
 
     from skd_evaluator.assessment.files.result_folder import write_json
-    from skd_evaluator.report.episode_pictures import save_scenario
     from skd_evaluator.report.formats import scenario_data, scenario_lines
+    from skd_evaluator.report.pictures import save_scenario
 
     trajectories = []
     for one in scenarios:  # all checks that an assessment makes before any work

@@ -83,8 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.provenance import provenance
     from skd_evaluator.report.presentation import fill
     from skd_evaluator.report.progress import progress_bar
-    from skd_evaluator.report.tables import sweep_table
-    from skd_evaluator.report.terminal import print_table
+    from skd_evaluator.report.terminal import print_table, sweep_table
     from skd_evaluator.report.warnings import warnings_of, why_failed
 
     begin = time.perf_counter()

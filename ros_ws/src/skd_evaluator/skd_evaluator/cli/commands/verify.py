@@ -26,7 +26,7 @@ def add(parser: Parser) -> None:
     episode can have happened. The exit code is 1 if something does not agree.
     """
     parser.set_defaults(group="compare and gate")
-    parser.add_paths("paths", "DIR", "folder of an assessment, a sweep or a campaign, or a folder of such")
+    parser.add_paths("DIR", "folder of an assessment, a sweep or a campaign, or a folder of such")
     parser.add_flag("--json", "print JSON, which names every figure, instead of lines")
 
 

@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, OutOfReachError, UsageError
 from skd_sim.inputs.files import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 from skd_sim.options.options import further_options
@@ -36,7 +36,6 @@ from skd_evaluator.assessment.files.result_folder import csv_text, write_manifes
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import fresh_process
 from skd_evaluator.assessment.stages.pipeline import run_stages
-from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign import cells as of_cells
 from skd_evaluator.extensions.campaign.cells import DONE, FAILED, FIRST, Cell, Row
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask

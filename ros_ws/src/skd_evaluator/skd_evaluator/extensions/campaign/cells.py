@@ -256,7 +256,7 @@ def _combination(defaults: Mapping[str, Any], parts: tuple[_Part, _Part, _Part])
     shown = () if car.name else _OF_CAR  # they are in the name of the car
     words += [_word(key, given[key]) for key in car.swept if key not in shown]
     if of_scenario.where:
-        words.append(of_scenario.name or (_stem(scenario) if scenario else _stem(str(values["safe"]))))
+        words.append(of_scenario.name or Path(scenario or str(values["safe"])).stem)
     words += [_word(key, given[key]) for part in (of_scenario, sweep) for key in part.swept if key not in shown]
     if car.name:
         values["name"] = ", ".join([car.name, *(_word(key, given[key]) for key in car.swept)])
@@ -269,14 +269,10 @@ def _word(key: str, value: Any) -> str:
     if isinstance(value, float):
         text = f"{value:.12g}"
     elif key in (*_OF_FILES, _SCENARIO):
-        text = _stem(str(value))
+        text = Path(str(value)).stem
     else:
         text = str(value)
     return f"{key.rpartition('.')[2]}={text}"
-
-
-def _stem(path: str) -> str:
-    return Path(path).stem
 
 
 def _with_unique_names(cells: Sequence[Combination], path: Path) -> Iterator[Combination]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
-from skd_sim.errors import UsageError
+from skd_sim.errors import OutOfReachError, UsageError
 from skd_sim.world.episode import EpisodeSpec
 
 from skd_evaluator.assessment.compare.gate import Limit
@@ -23,15 +23,13 @@ from skd_evaluator.assessment.stages.risk import warm_up_risk
 from skd_evaluator.cli.arguments import output_path, runner_of
 from skd_evaluator.cli.gate import limit_failures, limits_of
 from skd_evaluator.cli.output import EXIT_INTERRUPTED, finish, print_json, say, warn
-from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign import cells as of_cells
 from skd_evaluator.extensions.campaign.campaign import Campaign, CampaignFolder
 from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, Combination
 from skd_evaluator.report.formats import counted, number, percent
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.repeat import program
-from skd_evaluator.report.tables import credibility_mark, equal_remarks
-from skd_evaluator.report.terminal import bounded_cell, narrow_table, print_table
+from skd_evaluator.report.terminal import bounded_cell, credibility_mark, equal_remarks, narrow_table, print_table
 from skd_evaluator.ros.session import prepare_ros
 
 _CELLS_ON_A_CLUSTER = 8

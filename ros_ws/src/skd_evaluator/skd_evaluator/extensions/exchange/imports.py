@@ -26,7 +26,7 @@ from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.tracks import GAP, Listed, RecordingFrame, Track
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import finish, warn
-from skd_evaluator.extensions.exchange.import_command import BY_CAR
+from skd_evaluator.extensions.exchange.command import BY_CAR
 from skd_evaluator.extensions.exchange.readers import ImportRequest, TrackSource, files_in, listing, read_sources
 from skd_evaluator.extensions.exchange.scene import IMPORT
 from skd_evaluator.report.formats import counted

@@ -24,7 +24,7 @@ import numpy as np
 from scipy import special
 from scipy.optimize import least_squares
 from skd_adversary.safe_trajectories.recordings import interpolated
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.options.car_and_adversary import DYNAMICS, CarUnderTest
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
@@ -35,7 +35,6 @@ from skd_sim.world.state import CarState, FloatArray, Trajectory
 
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS
 from skd_evaluator.metrics.clustered import student_quantile
 from skd_evaluator.metrics.entry import Entry
@@ -318,9 +317,7 @@ class SimulatorCalibration(Entry):
         yield f"{off}; with the scenario's own values {self.before:.2f} m."
 
 
-def estimated(
-    off: Off, start: Mapping[str, float], free: Sequence[str], groups: Sequence[int], confidence: float = 0.95
-) -> SimulatorCalibration:
+def estimated(off: Off, start: Mapping[str, float], free: Sequence[str], groups: Sequence[int]) -> SimulatorCalibration:
     """Return parameters by trials.
 
     Args:
@@ -328,7 +325,6 @@ def estimated(
         start: values of all parameters in the scenario.
         free: names of those that may be estimated; where two are alike, the earlier is.
         groups: number of each trial's φ.
-        confidence: of the intervals.
 
     Raises:
         ValueError: fewer than five φ.
@@ -345,7 +341,7 @@ def estimated(
         dropped = _dropped(misfit.slopes(values, names), names)
         if dropped is None:
             spread = misfit.covariance(values, names)
-            reach = student_quantile(max(1.0, count - len(names)), confidence) * np.sqrt(np.diag(spread))
+            reach = student_quantile(max(1.0, count - len(names))) * np.sqrt(np.diag(spread))
             for name, far in zip(names, reach.tolist(), strict=True):
                 low, high = PARAMETERS[name].range
                 ends[name].append((max(low, values[name] - far), min(high, values[name] + far)))

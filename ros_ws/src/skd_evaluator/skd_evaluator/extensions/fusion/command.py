@@ -28,7 +28,7 @@ def add_fuse(parser: Parser) -> None:
     text = "table of physical trials, or the folder of its trials.csv (docs/proving_ground.md has the columns)"
     parser.add_value("physical", text, type=Path, nargs="?", metavar="PHYSICAL")
     text = "how often you look at the results, at most: the intervals then hold at all looks together"
-    parser.add_count("--looks", 1, 100, text, default=1)  # `metrics.statistics.sequential.MOST_LOOKS`
+    parser.add_count("--looks", 1, 100, text, default=1)  # `metrics.sample_size.MOST_LOOKS`
     planning = parser.add_argument_group("planning")
     text = "without PHYSICAL: say how many trials it takes until the 95 %% interval is so wide, in the figure's unit"
     planning.add_value("--width", text, type=positive_number, metavar="W")
@@ -59,12 +59,12 @@ def add_fuse(parser: Parser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    from skd_evaluator.extensions.fusion import results
+    from skd_evaluator.extensions.fusion import fusion
 
     if arguments.calibrate and arguments.physical is None:
         raise UsageError("--calibrate needs PHYSICAL, the table of physical trials")
     if (arguments.physical is None) == (arguments.width is None):
         raise UsageError("give PHYSICAL, the table of trials, or --width, to plan how many there are to be")
     if arguments.width is not None:
-        return results.plan_trials(arguments)
-    return results.calibrate(arguments) if arguments.calibrate else results.rate_car(arguments)
+        return fusion.plan_trials(arguments)
+    return fusion.calibrate(arguments) if arguments.calibrate else fusion.rate_car(arguments)

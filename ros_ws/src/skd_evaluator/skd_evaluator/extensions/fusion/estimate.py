@@ -32,7 +32,7 @@ as skewed as the simulated figure, to the side to which the trials lean. Where �
 refused (`least_variance`), such draws are left out.
 
 A rate's interval has to stay in [0, 1] and to hold near its ends, so the squared error of the regression estimator is
-turned into an effective number of trials, as in `metrics.statistics.clustered_rate`. Pairs that a simulator predicts
+turned into an effective number of trials, as in `metrics.clustered.clustered_rate`. Pairs that a simulator predicts
 well leave no residuals although it will be wrong some day: as Agresti and Coull (The American Statistician 52, 1998) do
 for a plain rate, two trials in which it was wrong are added to the residual variance.
 """
@@ -372,19 +372,18 @@ MOST = 10_000
 """φ with physical trials beyond which no number is named."""
 
 
-def width_alone(trials: int, deviation: float, confidence: float = 0.95) -> float:
+def width_alone(trials: int, deviation: float) -> float:
     """Return how wide the interval of physical trials alone is expected to be, one trial on each φ.
 
     Args:
         trials: number of φ with a trial.
         deviation: standard deviation of the figure from φ to φ.
-        confidence: two-sided.
     """
     freedom = trials - 1.0
-    return 2.0 * student_quantile(freedom, confidence) * mean_of_root(freedom) * deviation / math.sqrt(trials)
+    return 2.0 * student_quantile(freedom) * mean_of_root(freedom) * deviation / math.sqrt(trials)
 
 
-def width_fused(trials: int, deviation: float, correlation: float, simulated: int, confidence: float = 0.95) -> float:
+def width_fused(trials: int, deviation: float, correlation: float, simulated: int) -> float:
     """Return how wide the interval with the simulator is expected to be.
 
     The mean of (x̄ of all − x̄ of the n)²/Sxx over normal pairs is 1/(n (n − 3)).
@@ -394,15 +393,14 @@ def width_fused(trials: int, deviation: float, correlation: float, simulated: in
         deviation: standard deviation of the physical figure from φ to φ.
         correlation: of physical and simulated figure.
         simulated: number of simulated φ.
-        confidence: two-sided.
     """
     freedom = trials - 2.0
     left = (1.0 - correlation**2) / trials * (1.0 + 1.0 / (trials - 3.0)) * mean_of_root(freedom) ** 2
-    return 2.0 * student_quantile(freedom, confidence) * deviation * math.sqrt(left + correlation**2 / simulated)
+    return 2.0 * student_quantile(freedom) * deviation * math.sqrt(left + correlation**2 / simulated)
 
 
 def trials_for_width(
-    width: float, deviation: float, correlation: float | None = None, simulated: int = 0, confidence: float = 0.95
+    width: float, deviation: float, correlation: float | None = None, simulated: int = 0
 ) -> int | None:
     """Return the least number of φ with a physical trial whose interval is expected to be so narrow.
 
@@ -411,7 +409,6 @@ def trials_for_width(
         deviation: of the figure from φ to φ.
         correlation: of physical and simulated figure; None: the physical trials stand alone.
         simulated: number of simulated φ.
-        confidence: two-sided.
 
     Returns:
         None where even `MOST` are not enough: fewer simulated φ than the width takes, or too little a width.
@@ -419,8 +416,8 @@ def trials_for_width(
 
     def enough(trials: int) -> bool:
         if correlation is None:
-            return width_alone(trials, deviation, confidence) <= width
-        return width_fused(trials, deviation, correlation, simulated, confidence) <= width
+            return width_alone(trials, deviation) <= width
+        return width_fused(trials, deviation, correlation, simulated) <= width
 
     counts = range(LEAST_PAIRS, (MOST if correlation is None else min(MOST, simulated)) + 1)
     found = bisect_left(counts, True, key=enough)

@@ -26,7 +26,7 @@ def add_log(parser: Parser) -> None:
     the car that drove (docs/logs.md).
     """
     parser.set_defaults(group="rate")
-    parser.add_paths("paths", "PATH", "a recording of ROS, a csv of tracked objects, CITR, or a folder of them")
+    parser.add_paths("PATH", "a recording of ROS, a csv of tracked objects, CITR, or a folder of them")
     car = parser.add_argument_group(CAR_GROUP)
     cars = "the car under test: basic, cal, a registered name, file.py:Class or package.module:Class (default: none)"
     car.add_options(CAR_GROUP, controller={"default": None, "help": cars})
@@ -60,9 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.assessment.files.result_folder import write_json
     from skd_evaluator.assessment.from_options import check_car
     from skd_evaluator.bags.checks import Damage
-    from skd_evaluator.extensions.log.conflicts import ConflictRequest, conflicts_in
+    from skd_evaluator.extensions.log.conflicts import CAMPAIGN, ConflictRequest, conflicts_in, export, with_margins
     from skd_evaluator.extensions.log.drives import DriveRequest, RecordedDrive, read_drives
-    from skd_evaluator.extensions.log.margins import CAMPAIGN, export, with_margins
     from skd_evaluator.report.formats import counted
     from skd_evaluator.report.progress import progress_bar
     from skd_evaluator.version import version

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment.options import AssessmentOptions
-from skd_evaluator.cli.arguments import CAR_GROUP, Parser, result_folder, runner_of, steps_of
+from skd_evaluator.cli.arguments import CAR_GROUP, Parser, result_folder, runner_of, speeds
 from skd_evaluator.cli.output import EXIT_FAILED, EXIT_INTERRUPTED, finish, say
-from skd_evaluator.extensions.protocols.matrices import ProtocolMatrix, known_scenarios
-from skd_evaluator.extensions.protocols.regulations import NCAP, REGULATIONS
+from skd_evaluator.extensions.protocols.matrices import NCAP, REGULATIONS, ProtocolMatrix, known_scenarios
 
 if TYPE_CHECKING:
     from skd_evaluator.extensions.protocols.evaluation import ProtocolRequest
@@ -42,7 +41,7 @@ def add_protocol(parser: Parser) -> None:
     scenarios = tests.add_argument("--scenarios", metavar="LIST", help=text)
     scenarios.names = known_scenarios  # type: ignore[attr-defined]  # which a shell completes
     text = "test speeds of the car, km/h, as 10:60:10 (default: those of each table)"
-    tests.add_argument("--speeds", type=steps_of("km/h", 0.0, 200.0), metavar="FROM:TO:STEP", help=text)
+    tests.add_argument("--speeds", type=speeds, metavar="FROM:TO:STEP", help=text)
     margins = parser.add_argument_group("margins")
     margins.add_options(table=AssessmentOptions)
     trials = f"how many trials there are in each cell, each with draws of its own (default: {TRIALS})"
@@ -57,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
     from skd_evaluator.assessment.stages.margin import warm_up_margins
     from skd_evaluator.extensions.protocols.evaluation import evaluated_grid, log_warnings
-    from skd_evaluator.extensions.protocols.layout import print_result
+    from skd_evaluator.extensions.protocols.page import print_result
     from skd_evaluator.extensions.protocols.result import PAGE, RESULT, as_data
     from skd_evaluator.metrics.aborted import not_credible
     from skd_evaluator.provenance import provenance

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.controllers.controller import with_control_period
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.scenario.scenario_file import REGULATORY, lineage
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
@@ -23,7 +23,6 @@ from skd_evaluator.assessment.stages.checks import undisturbed_drives
 from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import static_episodes
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.protocols.matrices import Criterion, ProtocolMatrix, colour_of, matrix_of
 from skd_evaluator.extensions.protocols.result import Grid, GridCell
 from skd_evaluator.metrics.margins import Margins

@@ -24,14 +24,15 @@ from skd_evaluator.extensions.protocols.matrices import (
     COLOURS,
     CRITERIA,
     GREEN,
+    NCAP,
     RED,
+    REGULATIONS,
     Criterion,
     MatrixPoint,
     colour_of,
     matrix_of,
     scenarios_of,
 )
-from skd_evaluator.extensions.protocols.regulations import NCAP, REGULATIONS
 from skd_evaluator.metrics.aborted import not_credible
 
 RESULT, PAGE = "protocol.json", "protocol.html"

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from skd_sim.errors import AssessmentError
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec
 from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.candidates import ActionSpace
 from skd_evaluator.margin.search.group import OTHER, SOURCES, Group
 from skd_evaluator.margin.search.trial import Trial

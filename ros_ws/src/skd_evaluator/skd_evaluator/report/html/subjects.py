@@ -196,12 +196,6 @@ def pack(content: Mapping[str, Any]) -> str:
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
 
 
-def unpack(block: str) -> dict[str, Any]:
-    """Return what `pack` was given."""
-    content: dict[str, Any] = json.loads(gzip.decompress(base64.b64decode(block)))
-    return content
-
-
 def scene(subject: Subject) -> dict[str, Any]:
     """Return road (edges of its lanes and arrows on them, m), car, adversary, others and φ of a subject."""
     scenario = subject.scenario

@@ -1,7 +1,7 @@
 """A behaviour model fitted to tracked people: the parameters under which simulated people have the same summary.
 
 Simulated people intend to go straight on at one pace; all that differs from that is the model's. Their summary
-(`residuals.summary`) is brought to that of the tracks by Gauss and Newton's steps, weighed by how much a summary of as
+(`summary`) is brought to that of the tracks by Gauss and Newton's steps, weighed by how much a summary of as
 many persons varies by chance under the model (the simulated method of moments: McFadden, Econometrica 57, 1989). The
 same normals at every step make the distance smooth. Intervals follow from the same weights, that of `unrest` from a
 test of each value (`inversion`).
@@ -121,14 +121,14 @@ def simulated(
 class TrackProblem:
     """The summary of tracks, and of people simulated like them."""
 
-    def __init__(self, tracks: Sequence[FloatArray], time_step: float, seed: int) -> None:
+    def __init__(self, tracks: Sequence[FloatArray], time_step: float) -> None:
         self.ways, self.time_step = padded(tracks), time_step
         self.lengths = [len(one) for one in tracks]
         steps = np.diff(self.ways, axis=1)
         speeds = np.hypot(steps[..., 0], steps[..., 1]) / time_step
         self.speed = float(np.nanmedian(speeds))
         self.observed = summary(self.ways, time_step)
-        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(_SEED)))
         dimension = normals_of(max(self.lengths) - 1)
         self._normals = rng.standard_normal((_COPIES * len(tracks), dimension))
         self._chance = rng.standard_normal((_GROUPS * len(tracks), dimension))
@@ -166,13 +166,12 @@ class TrackProblem:
         return np.column_stack(columns)
 
 
-def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int = _SEED, intervals: bool = True) -> Fit:
+def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, intervals: bool = True) -> Fit:
     """Fit a behaviour model to tracks.
 
     Args:
         tracks: places of each person at ticks, n × 2, m, x along the way that people intend.
         time_step: s.
-        seed: of what is simulated; the same seed gives the same fit.
         intervals: whether they are wanted; that of a tested parameter (`TESTED`) takes as long as the fit.
 
     Raises:
@@ -180,7 +179,7 @@ def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int =
     """
     if len(tracks) < LEAST_TRACKS:
         raise ValueError(f"a behaviour model needs at least {LEAST_TRACKS} tracks, got {len(tracks)}")
-    problem = TrackProblem(tracks, time_step, seed)
+    problem = TrackProblem(tracks, time_step)
     free = _free(np.array([_START[name] for name in NAMES]))
     weights, damping = np.diag(1.0 / np.diag(problem.chance_at(free))), 1.0
     for turn in range(_STEPS):
@@ -354,10 +353,8 @@ _FURTHEST: Final = 0.5
 _OUTWARD: Final = 6
 
 
-def inverted(
-    problem: TrackProblem, free: FloatArray, index: int, error: float, most: float, confidence: float = 0.95
-) -> tuple[float, float]:
-    """Return the interval of a parameter that is at least 0, on the scale on which it is fitted.
+def inverted(problem: TrackProblem, free: FloatArray, index: int, error: float, most: float) -> tuple[float, float]:
+    """Return the 95 % interval of a parameter that is at least 0, on the scale on which it is fitted.
 
     Args:
         problem: what is fitted.
@@ -365,9 +362,8 @@ def inverted(
         index: of the parameter among them.
         error: its standard error, about; says where to look.
         most: greatest value allowed, on that scale.
-        confidence: two-sided.
     """
-    tail, weights = 0.5 * (1.0 - confidence), _weights(problem.groups_at(free))
+    tail, weights = 0.5 * (1.0 - 0.95), _weights(problem.groups_at(free))
 
     def above(value: float) -> float:
         """Return by how much a value is not too large: below 0 it is rejected."""
