@@ -28,7 +28,6 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.controllers.basic import basic_acceleration
-from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
@@ -282,10 +281,6 @@ class CarModel:
     multiplier_high: float
     observes_position: bool
     kernels = BASIC_KERNELS
-
-    def __post_init__(self) -> None:
-        if not (0.0 <= self.multiplier_low <= self.multiplier_high < math.inf):
-            raise UsageError(f"car model needs 0 ≤ low ≤ high, got {self.multiplier_low:g}, {self.multiplier_high:g}")
 
     @property
     def sensor(self) -> type[SensorModel]:

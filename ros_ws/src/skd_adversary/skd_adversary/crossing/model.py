@@ -278,7 +278,7 @@ def reinvigorate(
 
 
 def crossing_parameters(
-    scenario: Scenario, end: Ending, *, start: Pair, gap: float, path: FloatArray, maximum_distance: float | None = None
+    scenario: Scenario, end: Ending, start: Pair, gap: float, path: FloatArray, maximum_distance: float | None
 ) -> Mapping[str, Any]:
     """Return the parameters that every model has, by name; arguments as of `compose`, φ n × 2 with n ≥ 1."""
     car, adversary = scenario.car, scenario.adversary
@@ -361,17 +361,6 @@ def _reinvigorate(car: type[CarKernels], sensor: type[SensorModel], road: type[R
     return bound(reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
 
 
-def _parameters_of_all(scenario: Scenario, path: FloatArray) -> dict[str, Any]:
-    """Return the parameters of every objective.
-
-    Models that differ in these alone share a type of parameters, and so the kernels of road user, car and road.
-    """
-    found: dict[str, Any] = {}
-    for objective in (SAFE, PAPER, FRECHET, DEVIATION):
-        found |= objective.parameters(scenario, path)
-    return found
-
-
 _CLASS, _SEPARATOR = "Parameters", "__"
 
 
@@ -424,9 +413,7 @@ def compose(
     phi = np.array([start]) if path is None else path
     sensor, road, user = car.sensor, STRAIGHT if scenario.road.straight else CURVED, road_user.kernels
     shares = (
-        crossing_parameters(
-            scenario, end or scenario.end, start=start, gap=gap, path=phi, maximum_distance=maximum_distance
-        ),
+        crossing_parameters(scenario, end or scenario.end, start, gap, phi, maximum_distance),
         road.parameters(scenario),
         road_user.parameters(scenario),
         car.parameters(scenario),
@@ -437,7 +424,10 @@ def compose(
         if twice := values.keys() & share.keys():
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
-    values = dict(sorted((_parameters_of_all(scenario, phi) | values).items()))
+    all_values: dict[str, Any] = {}
+    for one in (SAFE, PAPER, FRECHET, DEVIATION):  # models that differ in these alone share a type, and so kernels
+        all_values |= one.parameters(scenario, phi)
+    values = dict(sorted((all_values | values).items()))
     seen = _part_on_road(sensor, road)
     return Pomdp(
         name=f"{objective.name}_{user.name}_{car.kernels.name}_{sensor.name}_{road.name}",

@@ -26,7 +26,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.dynamics.basic import Command, CommandLimits, as_pair
 from skd_sim.world.episode import AbortKind, EpisodeSpec, Outcome, abort_reason
 from skd_sim.world.state import AdversaryState, CarState, Pair, RoadUserState, Scene
-from skd_sim.world.world import Contact, World, first_contact_of, make_world, road_left
+from skd_sim.world.world import Contact, World, first_contact_of, make_world
 
 
 class Frame(NamedTuple):
@@ -466,9 +466,7 @@ class FramedSimulator:
         here, there = (adversary, *self._others(frame)), (adversary_then, *self._others(frame + 1))
         moves = [(one[:2], end[:2], end[2:4], end.heading) for one, end in zip(here, there, strict=True)]
         path = np.array([before, after])
-        contact = first_contact_of(self._episode.scenario, path, moves)
-        if self._steered:
-            contact = min(contact, road_left(self._episode.scenario, path, 0, 1))
+        contact = first_contact_of(self._episode.scenario, path, moves, self._steered, 1.0, 0, 1)
         return contact if contact.fraction <= 1.0 else None
 
 

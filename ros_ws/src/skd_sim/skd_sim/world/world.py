@@ -131,9 +131,7 @@ class World:
         if self.scenario.others:
             others = self.scenario.others_at(self.tick), self.scenario.others_at(self.tick + 1)
             moves += [(one[:2], then[:2], then[2:4], then.heading) for one, then in zip(*others, strict=True)]
-        contact = first_contact_of(self.scenario, path, moves, step, period, periods)
-        if self.dynamics.steered:
-            contact = min(contact, road_left(self.scenario, path, period, periods))
+        contact = first_contact_of(self.scenario, path, moves, self.dynamics.steered, step, period, periods)
         counts = contact.fraction <= 1.0
         if not counts and period < periods - 1:
             passed = step * (period + 1) / periods
@@ -162,7 +160,7 @@ Move = tuple[Pair, Pair, Pair, float]
 
 
 def first_contact_of(
-    scenario: Scenario, path: FloatArray, moves: Iterable[Move], step: float = 1.0, period: int = 0, periods: int = 1
+    scenario: Scenario, path: FloatArray, moves: Iterable[Move], steered: bool, step: float, period: int, periods: int
 ) -> Contact:
     """Return the car's first contact that counts as a collision; its fraction of the step is infinite without one.
 
@@ -170,27 +168,21 @@ def first_contact_of(
         scenario: fixed description of the test.
         path: path of the car in the period, see `CarDynamics.advance`.
         moves: of the adversary, and of the others of the scenario.
+        steered: whether a corner of the car off the road is a contact, too.
         step: duration of the step, s.
         period: number of the period in the step.
         periods: number of periods in a step.
     """
-    car, first = scenario.car, Contact(math.inf, 0.0)
-    footprint, least = (car.front, car.rear, car.half_width), scenario.collision.minimum_impact_speed
+    car, road, first = scenario.car, scenario.road, Contact(math.inf, 0.0)
+    least = scenario.collision.minimum_impact_speed
     for body, move in zip((scenario.adversary, *scenario.others), moves, strict=True):
-        found = Contact(*sweep(path, *move, footprint, body.shape, step, period, periods))
+        found = Contact(*sweep(path, *move, car.footprint, body.shape, step, period, periods))
         if found.fraction < first.fraction and found.speed >= least:
             first = found
+    row = beyond(road.line, road.edges, car.footprint, path) if steered else -1
+    if row >= 0 and path[row, 3] >= least:
+        first = min(first, Contact((period + row / (len(path) - 1)) / periods, float(path[row, 3])))
     return first
-
-
-def road_left(scenario: Scenario, path: FloatArray, period: int, periods: int) -> Contact:
-    """Return when a corner of the car is off the road, as a contact; see `first_contact_of`."""
-    car, road = scenario.car, scenario.road
-    row = beyond(road.line, road.edges, (car.front, car.rear, car.half_width), path)
-    speed = float(path[row, 3])
-    if row < 0 or speed < scenario.collision.minimum_impact_speed:
-        return Contact(math.inf, 0.0)
-    return Contact((period + row / (len(path) - 1)) / periods, speed)
 
 
 def make_world(episode: EpisodeSpec) -> World:
