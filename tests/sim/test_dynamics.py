@@ -171,7 +171,7 @@ def test_right_hand_side_is_that_of_a_car_that_goes_straight() -> None:
         force = 0.5 * v.m * v.R_w
         brake, drive = max(0.0, -acceleration) * force, max(0.0, acceleration) * force
         shares = v.T_sb * brake, (1.0 - v.T_sb) * brake, v.T_se * drive, (1.0 - v.T_se) * drive
-        derivative(x, WheelTorques(*shares, 2.0, 3.0), 1.0, out)
+        derivative(x, WheelTorques(shares[:2], shares[2:], (2.0, 3.0)), 1.0, out)
         whole = np.zeros(29)
         whole[PLACES] = x
         whole[[24, 26]] = x[WHEELS:]
@@ -205,7 +205,7 @@ def test_right_hand_side_of_a_car_that_steers_is_that_of_the_drift_model() -> No
         force = 0.5 * v.m * v.R_w
         brake, drive = max(0.0, -acceleration) * force, max(0.0, acceleration) * force
         shares = v.T_sb * brake, (1.0 - v.T_sb) * brake, v.T_se * drive, (1.0 - v.T_se) * drive
-        derivative(x, WheelTorques(*shares, 2.0, 3.0, acceleration, steered=True), 1.0, out)
+        derivative(x, WheelTorques(shares[:2], shares[2:], (2.0, 3.0), acceleration, steered=True), 1.0, out)
         expected = np.array(vehicle_dynamics_std(x[THEIRS].tolist(), [0.0, acceleration], theirs))
         np.testing.assert_allclose(out[THEIRS], expected, rtol=1e-9, atol=1e-9)
 

@@ -327,7 +327,7 @@ def _of_forest(trees: Trees, test: Observations, rng: np.random.Generator) -> _S
     counted = rows & near(test)
     features, change = described(test)
     scores = np.zeros(int(counted.sum()))
-    _forest_scores(*trees, features[counted], change[counted], scores, _LOW, _STEP, _BINS)
+    _forest_scores(*trees, features[counted], change[counted], scores)
     return _Scores(forest_transform(trees, test, rows, rng), near(test)[rows], scores, test.episode[counted])
 
 
@@ -354,28 +354,20 @@ def _law_scores(change: speed_change.SpeedChange, law: laws.Law, data: Observati
 
 @kernel
 def _forest_scores(
-    roots: Any,
-    nodes: Any,
-    donors: Any,
-    features: FloatArray,
-    change: FloatArray,
-    scores: FloatArray,
-    low: float,
-    step: float,
-    bins: int,
+    roots: Any, nodes: Any, donors: Any, features: FloatArray, change: FloatArray, scores: FloatArray
 ) -> None:
     """Write the same score of each tick by a forest, over the same grid."""
-    mass = np.empty(bins + 1)
+    mass = np.empty(_BINS + 1)
     for row in range(features.shape[0]):
         mass[:] = 0.0
         for root in roots:
             leaf = leaf_of(nodes, root, features[row])
             first, count = int(nodes[leaf, 1]), int(nodes[leaf, 2])
             for donor in range(first, first + count):
-                place = math.ceil((donors[donor, 0] - low) / step - 0.5)  # the first z at or above it
-                mass[min(bins, max(0, place))] += 1.0 / count / roots.shape[0]
+                place = math.ceil((donors[donor, 0] - _LOW) / _STEP - 0.5)  # the first z at or above it
+                mass[min(_BINS, max(0, place))] += 1.0 / count / roots.shape[0]
         below = 0.0
-        for index in range(bins):
+        for index in range(_BINS):
             below += mass[index]
-            above = 1.0 if change[row] <= low + (index + 0.5) * step else 0.0
-            scores[row] += (below - above) * (below - above) * step
+            above = 1.0 if change[row] <= _LOW + (index + 0.5) * _STEP else 0.0
+            scores[row] += (below - above) * (below - above) * _STEP

@@ -305,13 +305,7 @@ def grow(data: Observations, *, seed: int = 0) -> CarForest:
 
 @kernel
 def _positions(
-    roots: npt.NDArray[np.int64],
-    nodes: Any,
-    donors: Any,
-    features: FloatArray,
-    change: FloatArray,
-    below: FloatArray,
-    equal: FloatArray,
+    roots: Any, nodes: Any, donors: Any, features: FloatArray, change: FloatArray, below: FloatArray, equal: FloatArray
 ) -> None:
     """Write the probability that a forest gives to changes below, and equal to, those of ticks."""
     for row in range(features.shape[0]):

@@ -107,14 +107,8 @@ def moments(particles: FloatArray, weights: FloatArray, column: int) -> Pair:
 
 
 @functools.cache
-def _kernels(
-    name: str,
-    initial: Callable[..., Any],
-    step: Callable[..., Any],
-    likelihood: Callable[..., Any],
-    reinvigorate: Callable[..., Any],
-) -> tuple[Callable[..., Any], ...]:
-    parts = {"_initial": initial, "_step": step, "_likelihood": likelihood, "_reinvigorate": reinvigorate}
+def _kernels(name: str, *functions: Callable[..., Any]) -> tuple[Callable[..., Any], ...]:
+    parts = dict(zip(("_initial", "_step", "_likelihood", "_reinvigorate"), functions, strict=True))
     return tuple(bound(one, name, parts) for one in (_draw, _propagate, _reweigh, _redraw))
 
 

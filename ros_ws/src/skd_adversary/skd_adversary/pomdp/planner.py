@@ -324,30 +324,19 @@ def _forbid(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> 
             tree.statistics[node, a, VISITS] = -1.0
 
 
+_FUNCTIONS = ("_step", "_observe", "_rollout_action", "_leaf_value", "_legal", "_likelihood")
+
+
 @functools.cache
-def _search_kernel(
-    name: str,
-    step: Callable[..., Any],
-    observe: Callable[..., Any],
-    rollout_action: Callable[..., Any],
-    leaf_value: Callable[..., Any] | None,
-    legal: Callable[..., Any] | None,
-    likelihood: Callable[..., Any] | None,
-    actions: int,
-    seen: int,
-) -> Callable[..., Any]:
-    """Return the search compiled around a model's functions; with a likelihood, over cells of likelihood."""
-    optional = {"_leaf_value": leaf_value, "_legal": legal, "_likelihood": likelihood}
-    parts = {
-        "_step": step,
-        "_observe": observe,
-        "_rollout_action": rollout_action,
+def _search_kernel(name: str, actions: int, seen: int, *functions: Callable[..., Any] | None) -> Callable[..., Any]:
+    """Return the search compiled around those of `_FUNCTIONS` that there are; with a likelihood, over cells of that."""
+    given = {part: one for part, one in zip(_FUNCTIONS, functions, strict=True) if one is not None}
+    parts = given | {
         "_ACTIONS": actions,
         "_SEEN": seen,
-        "_HAS_LEAF_VALUE": leaf_value is not None,
-        "_HAS_LEGAL": legal is not None,
-        "_BY_LIKELIHOOD": likelihood is not None,
-        **{part: one for part, one in optional.items() if one is not None},
+        "_HAS_LEAF_VALUE": "_leaf_value" in given,
+        "_HAS_LEGAL": "_legal" in given,
+        "_BY_LIKELIHOOD": "_likelihood" in given,
     }
     found: Callable[..., Any] = bound(_search, name, parts)
     return found
@@ -382,14 +371,14 @@ class Planner:
         self._returns = np.zeros((model.action_count, 3))
         self._search = _search_kernel(
             model.name,
+            model.action_count,
+            model.observation_dim,
             model.step,
             model.observe,
             model.rollout_action,
             model.leaf_value,
             model.legal,
             model.likelihood if self._by_likelihood else None,
-            model.action_count,
-            model.observation_dim,
         )
         self._origin = np.zeros(nodes, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)

@@ -16,7 +16,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import NO_CONTACT, slab, to_car_frame
 from skd_sim.world.episode import EpisodeSpec, Role, generator
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState, Triple
+from skd_sim.world.state import AdversaryState, CarState, FloatArray, RoadUserState, Triple
 
 FloatRanges = NDArray[np.float32]
 
@@ -139,12 +139,8 @@ def rectangle_range(
 
 @kernel
 def cast_beams(
-    origin: Triple,
-    fan: tuple[float, float, int],
-    discs: NDArray[np.float64],
-    rectangles: NDArray[np.float64],
-    maximum_range: float,
-) -> NDArray[np.float64]:
+    origin: Triple, fan: tuple[float, float, int], discs: FloatArray, rectangles: FloatArray, maximum_range: float
+) -> FloatArray:
     """Return the true range of each beam, m; infinity where it hits nothing within the maximum range.
 
     Args:
@@ -171,7 +167,7 @@ def cast_beams(
 
 @kernel
 def measure(
-    ranges: NDArray[np.float64], noise: float, dropout: float, maximum_range: float, rng: np.random.Generator
+    ranges: FloatArray, noise: float, dropout: float, maximum_range: float, rng: np.random.Generator
 ) -> FloatRanges:
     """Return the measured ranges for true ranges (m): noise is added, and some beams are lost.
 
@@ -209,7 +205,7 @@ class PlanarLaser:
 
     def true_ranges(
         self, car: CarState, adversary: AdversaryState, others: tuple[RoadUserState, ...] = ()
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         """Return the ranges without noise and dropouts, m."""
         sensor, scenario = self._sensor, self._scenario
         x = car.x + sensor.mount_ahead * math.cos(car.heading)

@@ -159,12 +159,9 @@ def peak_slip(friction: float) -> float:
 class WheelTorques(NamedTuple):
     """Torques on the wheels, N·m on each, and how the brake treats a wheel that is about to lock."""
 
-    brake_front: float  # ≥ 0, against its rotation
-    brake_rear: float
-    drive_front: float
-    drive_rear: float
-    release_begin: float  # slip from which the anti-lock brake releases
-    release_end: float  # slip at which it has released altogether
+    brakes: Pair  # of the front and of the rear axle, ≥ 0, against their rotation
+    drives: Pair
+    release: Pair  # slip from which the anti-lock brake releases, and at which it has released altogether
     pull: float = 0.0  # acceleration by which the load moves between the axles of a car that was steered, m/s²
     steered: bool = False
 
@@ -182,8 +179,9 @@ class _Axle(NamedTuple):
 @kernel
 def _spin(speed: float, slip: float, force: float, brake: float, drive: float, command: WheelTorques) -> float:
     """Return the angular acceleration of a wheel of an angular speed (rad/s), rad/s²."""
-    if slip > command.release_begin:
-        brake *= max(0.0, (command.release_end - slip) / (command.release_end - command.release_begin))
+    begin, end = command.release
+    if slip > begin:
+        brake *= max(0.0, (end - slip) / (end - begin))
     rate = (drive - brake - BMW_320I.R_w * force) / BMW_320I.I_y_w
     return 0.0 if speed <= 0.0 and rate < 0.0 else rate  # a brake does not turn a wheel backwards
 
@@ -194,8 +192,7 @@ def _axle(
     at: int,
     wheels: int,
     axle: _Axle,
-    brake: float,
-    drive: float,
+    torques: Pair,
     command: WheelTorques,
     friction: float,
     out: FloatArray,
@@ -210,7 +207,7 @@ def _axle(
     lift = 2.0 * (axle.static - travel * axle.spring - travel_rate * axle.damper)
     out[at] = x[at + 1]
     out[at + 1] = GRAVITY - (2.0 * load - lift) / axle.mass
-    out[wheels] = _spin(x[wheels], slip, force, brake, drive, command)
+    out[wheels] = _spin(x[wheels], slip, force, torques[0], torques[1], command)
     return 2.0 * force, lift
 
 
@@ -233,10 +230,8 @@ def _steered_derivative(x: FloatArray, command: WheelTorques, friction: float, o
     out[SPEED] = (push * math.cos(drift) + (turn + aside_r) * math.sin(drift)) / v.m
     out[HEADING], out[YAW_RATE] = rate, (v.a * turn - v.b * aside_r) / v.I_z
     out[DRIFT] = ((turn + aside_r) * math.cos(drift) - push * math.sin(drift)) / (v.m * speed) - rate
-    brake, drive = command.brake_front, command.drive_front
-    out[WHEELS] = _spin(x[WHEELS], slip_f, 0.5 * along_f, brake, drive, command)
-    brake, drive = command.brake_rear, command.drive_rear
-    out[WHEELS + 1] = _spin(x[WHEELS + 1], slip_r, 0.5 * along_r, brake, drive, command)
+    out[WHEELS] = _spin(x[WHEELS], slip_f, 0.5 * along_f, command.brakes[0], command.drives[0], command)
+    out[WHEELS + 1] = _spin(x[WHEELS + 1], slip_r, 0.5 * along_r, command.brakes[1], command.drives[1], command)
 
 
 @kernel
@@ -256,10 +251,9 @@ def derivative(x: FloatArray, command: WheelTorques, friction: float, out: Float
     share = v.m_s * GRAVITY / (2.0 * (v.a + v.b))
     front = _Axle(v.a, share * v.b, v.K_sf, v.K_sdf, v.m_uf)
     rear = _Axle(-v.b, share * v.a, v.K_sr, v.K_sdr, v.m_ur)
-    brake, drive = command.brake_front, command.drive_front
-    along_f, lift_f = _axle(x, FRONT, WHEELS, front, brake, drive, command, friction, out)
-    brake, drive = command.brake_rear, command.drive_rear
-    along_r, lift_r = _axle(x, REAR, WHEELS + 1, rear, brake, drive, command, friction, out)
+    (brake_f, brake_r), (drive_f, drive_r) = command.brakes, command.drives
+    along_f, lift_f = _axle(x, FRONT, WHEELS, front, (brake_f, drive_f), command, friction, out)
+    along_r, lift_r = _axle(x, REAR, WHEELS + 1, rear, (brake_r, drive_r), command, friction, out)
     along = along_f + along_r
     out[AHEAD] = x[SPEED]
     out[SPEED] = along / v.m
@@ -377,16 +371,10 @@ def _advance(
             if speed < LOW_SPEED:
                 _roll(x, rest, pull, step, steered)
                 continue
-            command = WheelTorques(
-                0.5 * BMW_320I.T_sb * mass_radius * slowing,
-                0.5 * (1.0 - BMW_320I.T_sb) * mass_radius * slowing,
-                0.5 * BMW_320I.T_se * mass_radius * driving,
-                0.5 * (1.0 - BMW_320I.T_se) * mass_radius * driving,
-                slips[0],
-                slips[1],
-                pull,
-                steered,
-            )
+            braked, driven = 0.5 * BMW_320I.T_sb * mass_radius * slowing, 0.5 * BMW_320I.T_se * mass_radius * driving
+            brakes = (braked, 0.5 * (1.0 - BMW_320I.T_sb) * mass_radius * slowing)
+            drives = (driven, 0.5 * (1.0 - BMW_320I.T_se) * mass_radius * driving)
+            command = WheelTorques(brakes, drives, slips, pull, steered)
             parts = math.ceil(step * stiffness / (_STABLE * speed))
             for _ in range(parts):
                 _runge_kutta(x, command, friction, step / parts, work)
