@@ -30,7 +30,6 @@ from __future__ import annotations
 import functools
 import math
 from collections import deque
-from enum import Enum
 from importlib import resources
 from typing import NamedTuple
 
@@ -401,19 +400,11 @@ OVERSPEED = 10.0  # km/h over the limit, above which the car brakes
 OVERSPEED_BRAKE = 0.3
 
 
-class CalState(Enum):
-    """What the law does."""
-
-    CRUISING = "cruising"
-    HAZARD_STOP = "hazard stop"
-
-
 class CalController:
     """Cruises at 30 km/h and brakes fully where the network is more than 90 % sure of a hazard.
 
     Attributes:
         control_period: time between decisions, s.
-        state: what it did at the last decision: cruise, or stop for a hazard.
         probability: probability of a hazard at the last decision.
     """
 
@@ -442,7 +433,6 @@ class CalController:
         self._perception = Perception(scenario)
         self._scan: Scan | None = None
         self._cruise.reset()
-        self.state = CalState.CRUISING
         self.probability = 0.0
 
     def sense(self, scan: Scan) -> None:
@@ -468,8 +458,7 @@ class CalController:
         """Return the acceleration (m/s²) of one decision; the first condition that holds wins."""
         kmh = speed * KILOMETRES_PER_HOUR
         throttle = brake = 0.0
-        self.state = CalState.HAZARD_STOP if self.probability > HAZARD_PROBABILITY else CalState.CRUISING
-        if self.state == CalState.HAZARD_STOP:
+        if self.probability > HAZARD_PROBABILITY:
             brake = 1.0
             self._cruise.pause()
         elif kmh > SPEED_LIMIT + OVERSPEED:

@@ -24,6 +24,7 @@ import sys
 import tempfile
 import types
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar, overload
 
@@ -334,20 +335,13 @@ def unbound(*_arguments: Any) -> Any:
     raise NotImplementedError("`bound` puts the model's kernel in its place")
 
 
+@dataclass(frozen=True)
 class Template:
     """A kernel to be, which calls other kernels, or other templates of its module, by name; see `template`."""
 
-    def __init__(self, function: Callable[..., Any], inline: bool, allocates: bool) -> None:
-        """Keep a function, and how it is compiled."""
-        self.function, self.inline, self.allocates = function, inline, allocates
-
-    def __call__(self, *_arguments: Any) -> Any:
-        """Refuse to be called: only a compiled copy can be.
-
-        Raises:
-            TypeError: always.
-        """
-        raise TypeError(f"{self.function.__qualname__} is a template; `bound` makes a kernel of it")
+    function: Callable[..., Any]
+    inline: bool
+    allocates: bool
 
 
 @overload
