@@ -188,12 +188,8 @@ class PlanarLaser:
         """Mount the scanner of `scenario`.
 
         Its noise is drawn from (seed, episode_id, Role.SCAN, tick), and between ticks from (…, tick, control period).
-
-        Raises:
-            ValueError: the scenario has no sensor.
         """
-        if scenario.sensor is None:
-            raise ValueError(f"scenario {scenario.name} has no sensor")
+        assert scenario.sensor is not None
         self._sensor = scenario.sensor
         hides = [one.hides is not False for one in scenario.obstacles]
         self._scenario, self._parked = scenario, scenario.rectangles[: len(hides)][hides]

@@ -47,7 +47,10 @@ class MetaDriveSimulator(FramedSimulator):
         Raises:
             UsageError: the road has curves, or this process cannot have an engine.
         """
-        self._metadrive = _frames(episode.scenario)
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # else its imports say hello where results go
+        from skd_sim.simulators.metadrive.stage import MetaDriveFrames
+
+        self._metadrive = MetaDriveFrames(episode.scenario)
         super().__init__(self._metadrive)
         return super().reset(episode)
 
@@ -70,14 +73,6 @@ class MetaDriveSimulator(FramedSimulator):
             "limits": list(pedals_of(stage, scenario).limits),
             "pedals": pedals_of(stage, scenario).as_dict(),
         }
-
-
-def _frames(scenario: Scenario) -> Any:
-    """Return the frames of MetaDrive; its imports say hello on standard output, where results go."""
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    from skd_sim.simulators.metadrive.stage import MetaDriveFrames
-
-    return MetaDriveFrames(scenario)
 
 
 CONTROL_PERIOD: Final = 0.1
