@@ -25,12 +25,7 @@ PACKAGES = (
 PATIENCE = 15.0  # s
 
 
-def found_packages() -> dict[str, bool]:
-    """Return of each package whether it can be imported."""
-    return {name: importlib.util.find_spec(name) is not None for name in PACKAGES}
-
-
-def round_trip(patience: float = PATIENCE) -> float | None:
+def round_trip() -> float | None:
     """Return after how many seconds a message that is published again and again is heard; None: it is not."""
     contexts = [Context(), Context()]
     heard: list[Header] = []
@@ -46,7 +41,7 @@ def round_trip(patience: float = PATIENCE) -> float | None:
         listener.create_subscription(Header, "/skd_doctor", heard.append, 10)
         executor = SingleThreadedExecutor(context=contexts[1])
         executor.add_node(listener)
-        while not heard and time.monotonic() - begin < patience:
+        while not heard and time.monotonic() - begin < PATIENCE:
             publisher.publish(Header(frame_id="doctor"))
             executor.spin_once(timeout_sec=0.05)
         executor.shutdown()
@@ -59,6 +54,7 @@ def round_trip(patience: float = PATIENCE) -> float | None:
 
 
 if __name__ == "__main__":
-    said = {"packages": found_packages(), "middleware": get_rmw_implementation_identifier(), "round_trip": round_trip()}
+    found = {name: importlib.util.find_spec(name) is not None for name in PACKAGES}
+    said = {"packages": found, "middleware": get_rmw_implementation_identifier(), "round_trip": round_trip()}
     print(json.dumps(said))
     sys.exit(0 if said["round_trip"] is not None else 1)

@@ -422,7 +422,8 @@ def _check_others(scenario: Scenario, where: str) -> None:
     for index, other in enumerate(scenario.others):
         section = f"others[{index}]"
         first = scenario.others_at(0)[index]
-        if _inside_car(scenario, first, other.shape):
+        starts = _start_poses(scenario, scenario.car.start_gap)  # wherever in its start range the car starts
+        if any(_touches(pose, scenario.car.footprint, first, other.shape) for pose in starts):
             raise UsageError(f"{where}: {section} is where the car starts; move it, or change car.start_gap")
         start = RoadUserState(adversary.start_x, adversary.start_y, 0.0, 0.0, adversary.first_heading)
         if _overlap(first, other.shape, start, adversary.shape):
@@ -446,12 +447,6 @@ def _touches(pose: Triple, footprint: Triple, body: RoadUserState, shape: Shape)
     place = (body.x, body.y)
     share, _ = sweep(stands, place, place, (0.0, 0.0), body.heading, footprint, shape, 1.0, 0, 1)
     return bool(share <= 1.0)
-
-
-def _inside_car(scenario: Scenario, body: RoadUserState, shape: Shape) -> bool:
-    """Return whether a body is in the car's footprint, wherever in its start range the car starts."""
-    car = scenario.car
-    return any(_touches(pose, car.footprint, body, shape) for pose in _start_poses(scenario, car.start_gap))
 
 
 def _start_poses(scenario: Scenario, gap: float) -> Iterator[Triple]:
