@@ -66,10 +66,8 @@ def test_no_imports_run_in_a_circle():
 @pytest.mark.parametrize("package", ORDERS)
 def test_folders_stand_in_order(package):
     folders = ORDERS[package].split()
-    assert all(
-        (ROOT / "ros_ws" / "src" / package.split(".")[0] / f"{package}.{one}".replace(".", "/")).is_dir()
-        for one in folders
-    )
+    source = ROOT / "ros_ws" / "src" / package.split(".")[0]
+    assert all((source / f"{package}.{one}".replace(".", "/")).is_dir() for one in folders)
 
     def place(module: str) -> int | None:
         inside = [one for one in folders if module.startswith(f"{package}.{one}.")]
@@ -112,7 +110,5 @@ GONE = re.compile(r"deform|closeness|attempt|encounter|\bstruck\b|foretold|fores
 
 @pytest.mark.parametrize("folder", ["ros_ws/src", "docs", "examples"])
 def test_words_that_are_gone_stay_away(folder):
-    texts = [
-        path for path in (ROOT / folder).rglob("*") if path.suffix in {".py", ".md", ".msg", ".js", ".j2", ".yaml"}
-    ]
+    texts = [one for one in (ROOT / folder).rglob("*") if one.suffix in {".py", ".md", ".msg", ".js", ".j2", ".yaml"}]
     assert [f"{path.relative_to(ROOT)}: {word[0]}" for path in texts if (word := GONE.search(path.read_text()))] == []

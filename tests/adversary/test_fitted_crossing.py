@@ -28,13 +28,13 @@ from skd_sim import UsageError, load_scenario
 
 SCENARIO = load_scenario("crossing")
 PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])
+UNCERTAIN = {"trigger": ParameterPrior("uniform", 8.0, 10.0), "deceleration": ParameterPrior("normal", 4.0, 0.5)}
 
 
 def models(car: FittedCar):
     known = known_basic_car(9.0 / SCENARIO.car.safe_distance)
-    return [
-        compose(SCENARIO, PAPER, one, start=(-3.5, 0.0), gap=13.0, path=PATH) for one in (known, LearnedCar(car, known))
-    ]
+    how = {"start": (-3.5, 0.0), "gap": 13.0, "path": PATH}
+    return [compose(SCENARIO, PAPER, one, **how) for one in (known, LearnedCar(car, known))]
 
 
 def test_with_the_basic_cars_numbers_it_is_the_basic_car():
@@ -48,9 +48,8 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
         state[STATE_DIM:] = known[STATE_DIM:]
         action = int(rng.integers(ACTION_COUNT))
         one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
-        expected = basic.step(
-            basic.parameters, state[: basic.state_dim].copy(), action, one, np.random.default_rng(seed)
-        )
+        before = state[: basic.state_dim].copy()
+        expected = basic.step(basic.parameters, before, action, one, np.random.default_rng(seed))
         assert fitted.step(fitted.parameters, state, action, other, np.random.default_rng(seed)) == expected
         np.testing.assert_array_equal(other[: basic.state_dim], one)
 
@@ -71,9 +70,7 @@ def test_delayed_car_brakes_later():
 
 
 def test_what_is_uncertain_is_drawn_from_its_prior():
-    _, fitted = models(
-        a_car(trigger=ParameterPrior("uniform", 8.0, 10.0), deceleration=ParameterPrior("normal", 4.0, 0.5))
-    )
+    _, fitted = models(a_car(**UNCERTAIN))
     belief = ParticleBelief(fitted, 4000, np.random.default_rng(5))
     triggers, decelerations = belief.particles[:, TRIGGER], belief.particles[:, DECELERATION]
     assert 8.0 <= triggers.min() < 8.05
@@ -84,10 +81,8 @@ def test_what_is_uncertain_is_drawn_from_its_prior():
 
 
 def test_round_trip(tmp_path):
-    car = a_car(trigger=ParameterPrior("uniform", 8.0, 10.0), deceleration=ParameterPrior("normal", 4.0, 0.5))
-    car.parameters["cruise_gain"] = CarParameter(
-        ParameterPrior("uniform", 0.0, 1.0), reason="not identifiable: too few"
-    )
+    car = a_car(**UNCERTAIN)
+    car.parameters["cruise_gain"] = CarParameter(ParameterPrior("uniform", 0.0, 1.0), reason="not identifiable")
     car = dataclasses.replace(car, front=2.25, rear=2.0)
     write_car_model(tmp_path / "car_model.yaml", car)
     assert read_car_model(tmp_path) == read_car_model(tmp_path / "car_model.yaml") == car

@@ -126,9 +126,8 @@ def test_of_two_cars_the_one_is_safer_that_a_sign_test_says_so_of():
 def test_figures_are_means_over_all_trials_a_miss_counting_as_the_most(car):
     with InProcessRunner(1, isolated=True) as runner:
         work = Work(car, [ACROSS], 4, 0, runner)
-        needed, hits, margins = (
-            FIGURES[name].compute(work)["values"] for name in ("planned_generic", "along", "margin")
-        )
+        names = ("planned_generic", "along", "margin")
+        needed, hits, margins = (FIGURES[name].compute(work)["values"] for name in names)
     plan = work.plan()
     for trial, value in enumerate(needed[0]):
         log = run_episode(plan.episode(Mode.KAMIKAZE, 0, trial, ACROSS))

@@ -70,6 +70,12 @@ def skd_from_nothing(*arguments: str | Path, cwd: Path, **environment: str) -> s
     return run_program(*words, cwd=cwd, **{"PYTHONPATH": str(cwd), **environment})
 
 
+def git(repository: Path, *words: str) -> str:
+    identity = ("-c", "user.name=nobody", "-c", "user.email=nobody@example.org", "-c", "commit.gpgsign=false")
+    done = subprocess.run(["git", *identity, *words], cwd=repository, check=True, capture_output=True, text=True)
+    return done.stdout.strip()
+
+
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 

@@ -38,9 +38,7 @@ def test_a_rank_reaches_as_far_as_no_pair_is_told_apart(better, expected):
     assert benchmark.ranks([1.0, 2.0, 3.0], better, {(0, 1): 0, (0, 2): 1, (1, 2): 0}) == expected
 
 
-def test_cars_of_a_user_stand_beside_the_league_and_a_second_run_has_the_same_digests(
-    tmp_path: Path, monkeypatch, capsys
-):
+def test_cars_of_a_user_stand_beside_the_league_whose_digests_stay(tmp_path: Path, monkeypatch, capsys):
     (tmp_path / "small.yaml").write_text(SMALL)
     (tmp_path / "own.py").write_text(
         "class Sleeper:\n    def reset(self, scenario, rng): pass\n    def command(self, car, adversary): return 0.0\n"

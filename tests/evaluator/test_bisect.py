@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_support import BRAKE, CROSSING, SMALL, one_line, skd
+from cli_support import BRAKE, CROSSING, SMALL, git, one_line, skd
 from skd_evaluator import load_result
 from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.cli.assessment import begun_with, digest_of_inputs
@@ -33,18 +33,11 @@ HISTORY = {  # what each commit changes, and its message
 OPTIONS = ("--", "scripts/skd", "assess", "--controller", "team.cars:Brake", "--safe-count", "12", "--seed", "3")
 
 
-def git(repository: Path, *words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=repository, check=True, capture_output=True, text=True)
-    return done.stdout.strip()
-
-
 @pytest.fixture(scope="module")
 def repository(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A repository whose car imports from a folder of its own on PYTHONPATH; tags name its commits."""
     made = tmp_path_factory.mktemp("repository")
     git(made, "init", "-q")
-    git(made, "config", "user.name", "nobody")
-    git(made, "config", "user.email", "nobody@example.org")
     for message, changes in HISTORY.items():
         for file, text in changes:
             (made / file).parent.mkdir(parents=True, exist_ok=True)

@@ -15,14 +15,9 @@ from skd_evaluator.metrics.measures import Measured, Pair, load_measures, pair_o
 from skd_evaluator.metrics.skd import frechet_distances, prefix_distances
 from skd_evaluator.metrics.statistics import mean
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
+from test_frechet import curves
 
-# On a grid of 1/64 sums and products are exact: properties hold without tolerance.
-GRID = st.integers(-640, 640).map(lambda k: k / 64.0)
 Curves = tuple[np.ndarray, np.ndarray, float]
-
-
-def paths(dimension: int, shortest: int = 1, longest: int = 12) -> st.SearchStrategy[np.ndarray]:
-    return hnp.arrays(np.float64, st.tuples(st.integers(shortest, longest), st.just(dimension)), elements=GRID)
 
 
 def psis_of(dimension: int) -> st.SearchStrategy[tuple[np.ndarray, float]]:
@@ -30,11 +25,11 @@ def psis_of(dimension: int) -> st.SearchStrategy[tuple[np.ndarray, float]]:
         shares = st.integers(0 if len(psi) == 1 else 1, 64).map(lambda k: k / 64.0)
         return shares.map(lambda share: (psi, 0.0 if len(psi) == 1 else len(psi) - 2 + share))
 
-    return paths(dimension).flatmap(timed)
+    return curves(dimension).flatmap(timed)
 
 
 def pairs(dimension: int = 2) -> st.SearchStrategy[Curves]:
-    return st.tuples(paths(dimension), psis_of(dimension)).map(lambda pair: (pair[0], *pair[1]))
+    return st.tuples(curves(dimension), psis_of(dimension)).map(lambda pair: (pair[0], *pair[1]))
 
 
 def walked(phi: np.ndarray, duration: float, count: int) -> np.ndarray:
@@ -61,7 +56,7 @@ def test_pairs_whose_deviation_is_plain(psi: list[list[float]], duration: float,
     assert deviation_pairs(phi, [psi], [duration]) == [expected]
 
 
-@given(paths(2, shortest=2), st.integers(2, 20), st.integers(1, 64), st.data())
+@given(curves(2, shortest=2), st.integers(2, 20), st.integers(1, 64), st.data())
 def test_it_is_0_exactly_where_psi_walks_phi(phi: np.ndarray, count: int, share: int, data: st.DataObject) -> None:
     duration = count - 2 + share / 64.0
     psi = walked(phi, duration, count)
@@ -77,7 +72,7 @@ def test_no_coupling_of_the_places_is_worse_than_that_of_the_times(pair: Curves)
     assert discrete_frechet(walked(phi, duration, len(psi)), psi) <= deviation(phi, psi, duration) + 1e-12
 
 
-@given(st.integers(1, 4).flatmap(lambda d: st.tuples(paths(d), st.lists(psis_of(d), max_size=6))))
+@given(st.integers(1, 4).flatmap(lambda d: st.tuples(curves(d), st.lists(psis_of(d), max_size=6))))
 def test_a_batch_has_the_bits_of_singles(case: tuple[np.ndarray, list[tuple[np.ndarray, float]]]) -> None:
     phi, psis = case
     phi = phi * math.pi  # off the grid, so that roundings differ where operations do

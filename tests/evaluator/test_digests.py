@@ -49,9 +49,8 @@ def a_walk() -> str:
     seconds = np.arange(0.0, 7.0, 1.0 / 29.97)
     x = -4.1 + 1.37 * seconds
     y = 0.12 * x + 0.2 * np.sin(1.3 * x)
-    return "t,x,y\n" + "".join(
-        f"{row[0]!r},{row[1]!r},{row[2]!r}\n" for row in np.column_stack([seconds, x, y]).tolist()
-    )
+    rows = np.column_stack([seconds, x, y]).tolist()
+    return "t,x,y\n" + "".join(f"{row[0]!r},{row[1]!r},{row[2]!r}\n" for row in rows)
 
 
 def a_fitted_car() -> str:

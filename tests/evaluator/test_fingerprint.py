@@ -1,13 +1,12 @@
 """Where a result comes from: hashes of the car's files, and its provenance."""
 
 import json
-import subprocess
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from cli_support import SMALL
+from cli_support import SMALL, git
 from common import assert_valid
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.dask_cluster import _have, sent
@@ -129,10 +128,9 @@ def content(folder: Path) -> dict[str, object]:
 def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
     begin = datetime.now(UTC).replace(microsecond=0)
-    command = ["assess", *SMALL, "-p", "curve:=true", "--margin-limit", "20", "--safe", "good.csv", "--objective"]
-    done = skd_here(
-        *command, "deviation", "--adversary-model", "generic", "--controller", "my_cars:Fine", "--out", "out dir"
-    )
+    command = ["assess", *SMALL, "-p", "curve:=true", "--margin-limit", "20", "--safe", "good.csv", "--out", "out dir"]
+    car = ("--objective", "deviation", "--adversary-model", "generic", "--controller", "my_cars:Fine")
+    done = skd_here(*command, *car)
     assert done.returncode == 0, done.stderr
     result = content(here / "out dir")
     assert_valid(result)
@@ -152,19 +150,13 @@ def test_git_revision_is_of_the_checkout_that_the_code_is_in(tmp_path, monkeypat
     code.write_text("1\n")
     assert git_revision(code) is None  # nobody's checkout
 
-    def git(*words: str) -> str:
-        identity = ["-c", "user.name=n", "-c", "user.email=e", "-c", "commit.gpgsign=false"]
-        return subprocess.run(
-            ["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True, text=True
-        ).stdout
-
-    git("init", "-q")
+    git(tmp_path, "init", "-q")
     assert git_revision(code) is None  # an installation inside of one
-    git("add", ".")
-    git("commit", "-qm", "first")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "first")
     monkeypatch.setenv("GIT_DIR", "/nowhere")  # as inside a hook
     first = git_revision(code)
     monkeypatch.delenv("GIT_DIR")
-    assert first == {"revision": git("rev-parse", "HEAD").strip(), "modified": False}
+    assert first == {"revision": git(tmp_path, "rev-parse", "HEAD"), "modified": False}
     code.write_text("2\n")
     assert git_revision(code) == {**first, "modified": True}

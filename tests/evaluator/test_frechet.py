@@ -14,8 +14,8 @@ GOOD = [[0.0, 0.0], [1.0, 1.0]]
 GRID = st.integers(-640, 640).map(lambda k: k / 64.0)
 
 
-def curves(dimension: int, longest: int = 12) -> st.SearchStrategy[np.ndarray]:
-    return hnp.arrays(np.float64, st.tuples(st.integers(1, longest), st.just(dimension)), elements=GRID)
+def curves(dimension: int, shortest: int = 1) -> st.SearchStrategy[np.ndarray]:
+    return hnp.arrays(np.float64, st.tuples(st.integers(shortest, 12), st.just(dimension)), elements=GRID)
 
 
 def row_by_row(p: np.ndarray, q: np.ndarray) -> float:
@@ -106,9 +106,7 @@ def test_bad_curves_are_refused_by_name(bad, message):
 
 
 Coupling = tuple[tuple[int, int], ...]
-CURVES = st.integers(1, 5).flatmap(
-    lambda count: hnp.arrays(np.float64, (count, 2), elements=st.floats(-10.0, 10.0, width=32))
-)
+CURVES = st.integers(1, 5).flatmap(lambda n: hnp.arrays(np.float64, (n, 2), elements=st.floats(-10.0, 10.0, width=32)))
 
 
 def couplings(n: int, m: int) -> Iterator[Coupling]:

@@ -34,9 +34,8 @@ def messages() -> Iterator[tuple[str, str]]:
     """Place and text of all that the packages can say but docstrings; what is filled in stands as one word."""
     for path in sorted(SOURCES.rglob("*.py")):
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-        within = {
-            id(part) for one in nodes if isinstance(one, ast.JoinedStr) for part in ast.walk(one) if part is not one
-        }
+        texts = [one for one in nodes if isinstance(one, ast.JoinedStr)]
+        within = {id(part) for one in texts for part in ast.walk(one) if part is not one}
         silent = within | {id(one.value) for one in nodes if isinstance(one, ast.Expr)}
         for one in nodes:
             if isinstance(one, ast.Constant | ast.JoinedStr) and id(one) not in silent:

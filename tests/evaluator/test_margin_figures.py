@@ -17,13 +17,7 @@ from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.metrics.deviation import Hit
-from skd_evaluator.metrics.margins import (
-    Margins,
-    difference,
-    equivalent_entries,
-    equivalent_multiplier,
-    isotonic_means,
-)
+from skd_evaluator.metrics.margins import Margins, difference, equivalent_entries, equivalent_multiplier, isotonic_means
 from skd_evaluator.metrics.statistics import cantelli_bound, normal_interval, wilson_interval
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim import Outcome, Trajectory, load_scenario

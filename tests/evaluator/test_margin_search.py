@@ -144,9 +144,8 @@ def test_a_touch_that_is_too_slow_ends_the_episode():
     walked_in = 0
     for number in (0, 6):  # of which the sixth is touched too slowly
         episode = short(number, 2)
-        slow = replace(
-            episode, scenario=replace(episode.scenario, collision=replace(CROSSING.collision, hit_speed=7.5))
-        )
+        too_slow = replace(CROSSING.collision, hit_speed=7.5)
+        slow = replace(episode, scenario=replace(episode.scenario, collision=too_slow))
         margin = found(searched([slow], make=Delayed))
         assert margin == pytest.approx(brute_force(slow, Delayed), abs=1e-9)
         walked_in += margin > found(searched([episode], make=Delayed)) + 1e-9
@@ -179,9 +178,7 @@ def test_a_detour_of_some_ticks_is_the_least_that_is_hit_if_the_car_drives_on(sc
     """On the lane beside, a car turns out of it for some ticks, and its state decides where that leads."""
     beside = np.column_stack([np.full(16, -3.5), -8.0 + 2.0 * np.arange(16)])
     phi = {"crossing": bent(np.random.default_rng(4), 9), "cut_in": beside}[scenario]
-    episode = EpisodeSpec(
-        load_scenario(scenario), Mode.KAMIKAZE, 1, 0, safe_trajectory=Trajectory(phi, TIME_STEP), multiplier=0.0
-    )
+    episode = EpisodeSpec(load_scenario(scenario), Mode.KAMIKAZE, 1, 0, Trajectory(phi, TIME_STEP), multiplier=0.0)
     space = Group([episode], 0).space
     as_phi = np.full(space.ticks, space.as_phi)
     drive, least = BasicController(0.0), math.inf

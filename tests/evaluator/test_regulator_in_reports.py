@@ -39,11 +39,9 @@ class Found:
     margins: tuple[np.ndarray, ...]
 
 
-def found(
-    source: str, speed: float, place: float, *, touched: float = 0.0, margin: float = 1.0, **changes: Any
-) -> Found:
+def found(source: str, speed: float, place: float, *, touched: float = 0.0, margin: float = 1.0, **more: Any) -> Found:
     """Return a result at a test speed, km/h, whose car touches the target at a speed, km/h, if it does."""
-    scenario = changed_scenario(source, {"car.start_speed": speed * KMH, "protocol.impact_places": [place], **changes})
+    scenario = changed_scenario(source, {"car.start_speed": speed * KMH, "protocol.impact_places": [place], **more})
     test = {
         "place": place, "touched": touched > 0.0, "target": touched > 0.0, "impact_speed": touched * KMH,
         "speed_ahead": 0.0, "fastest": speed * KMH, "aborted": "",

@@ -218,9 +218,8 @@ SMALL = (
     ],
 )
 def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str, said: list[str]) -> None:
-    done = skd(
-        "assess", "--controller", f"some_cars:{name}", *SMALL, "--fail-below", "deviation=0", "--out", "out", cwd=cars
-    )
+    words = ("--controller", f"some_cars:{name}", *SMALL, "--fail-below", "deviation=0", "--out", "out")
+    done = skd("assess", *words, cwd=cars)
     lines = json.loads((cars / "out" / "assessment.json").read_text())["warnings"]
     found = [line for line in lines if line.startswith(NOT_CREDIBLE)]
     assert (done.returncode == 0) == (not said), done.stderr

@@ -168,9 +168,8 @@ def regulators_page(tmp_path_factory):
     """Seven impact places, green with a margin, and red."""
     places = (0.0, 10.0, 25.0, 50.0, 75.0, 90.0, 100.0)
     green = [GridCell(speed=60.0, place=one, colour="green", margin=0.3, margins=(0.3,), beyond=1) for one in places]
-    red = [
-        GridCell(speed=20.0, place=one, colour="red", impact_speed=10.0, margin=0.0, margins=(0.0,)) for one in places
-    ]
+    hit = {"colour": "red", "impact_speed": 10.0, "margin": 0.0, "margins": (0.0,)}
+    red = [GridCell(speed=20.0, place=one, **hit) for one in places]
     grid = Grid("cpna", "A pedestrian.", (*red, *green))
     path = tmp_path_factory.mktemp("ncap") / "protocol.html"
     view = ProtocolResult(skd="0", car="a car", seed=0, trials=1, margin_limit=9, grids=(grid,))

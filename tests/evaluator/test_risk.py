@@ -367,9 +367,8 @@ def test_one_is_read_back_and_repeated_to_the_bit(folder):
         words = repeat_crossing(subject.figures, int(subject.failing.episode_id[number]))
         of = dict(zip(words[2::2], words[3::2], strict=True))
         assert (of["--mode"], of["--behaviour"], float(of["--scale"])) == ("risk", "walkers", one.scale)
-        log = run_episode(
-            single_crossing(SHORT, WALKERS, int(of["--safe-number"]), int(of["--trial"]), float(of["--scale"]))
-        )
+        numbers = int(of["--safe-number"]), int(of["--trial"]), float(of["--scale"])
+        log = run_episode(single_crossing(SHORT, WALKERS, *numbers))
         assert log.hit
         np.testing.assert_array_equal(log.adversary, subject.failing.adversary[number])
         np.testing.assert_array_equal(log.car, subject.failing.car[number])

@@ -81,9 +81,7 @@ def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -
     assert len(read((0.0, -9.5), (2.0, -7.5), (4.0, -5.5))) == 9
     with pytest.raises(UsageError, match=r"walks left, from x = .*: mirror it"):
         read((4.0, -5.5), (2.0, -7.5), (0.0, -9.5))
-    with pytest.raises(
-        UsageError, match=r"never enters the car's path \(1\.15 m to each side of the road's centre line"
-    ):
+    with pytest.raises(UsageError, match=r"never enters the car's path \(1\.15 m to each side of the road's centre"):
         read((-5.0, -9.0), (-3.0, -9.0), (-3.0, -7.0))
     with pytest.raises(UsageError, match="where the car starts"):
         read((3.4, -10.5), (5.0, -8.0))

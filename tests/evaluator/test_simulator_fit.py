@@ -70,10 +70,9 @@ def test_a_limit_that_was_reached_is_told_and_one_that_was_not_is_not():
 def test_trials_of_one_phi_are_one_draw():
     places, _ = trials_off(np.random.default_rng(4), 8, 0.2, 15.0)
     once = estimated(off_of(places), START, ["delay"], list(range(8))).identified[0]
-    thrice = estimated(
-        off_of([one for one in places for _ in range(3)]), START, ["delay"], np.repeat(range(8), 3)
-    ).identified[0]
-    assert thrice.error == pytest.approx(once.error, rel=1e-6)
+    thrice = off_of([one for one in places for _ in range(3)])
+    (same,) = estimated(thrice, START, ["delay"], np.repeat(range(8), 3)).identified
+    assert same.error == pytest.approx(once.error, rel=1e-6)
     with pytest.raises(ValueError, match="4 φ are too few"):
         estimated(off_of(places[:4]), START, ["delay"], list(range(4)))
 
@@ -99,10 +98,9 @@ def test_recordings_that_cannot_calibrate_are_refused():
     still = np.zeros((times.size, 2))
 
     def scene(speed: float, count: int) -> Interaction:
-        car = np.column_stack([still, np.full(times.size, 0.5 * math.pi), np.full(times.size, speed)])[:count]
-        return Interaction(
-            times[:count], car, still[:count], still[:count], times[:count], (2.0, 2.0, 0.9), (0.25, 0.0, 0.0)
-        )
+        car = np.column_stack([still, np.full(times.size, 0.5 * math.pi), np.full(times.size, speed)])
+        columns = (one[:count] for one in (times, car, still, still, times))
+        return Interaction(*columns, (2.0, 2.0, 0.9), (0.25, 0.0, 0.0))
 
     assert len(recorded(world, scene(8.3, 60), "walk", "here").car) == 10
     with pytest.raises(UsageError, match=r"begins at 6\.00 m/s, and in the simulation at 8\.33"):

@@ -8,20 +8,12 @@ import time
 from pathlib import Path
 
 import pytest
-from cli_support import SMALL, one_line, skd, started
+from cli_support import CONTROLLERS, SMALL, one_line, skd, started
 from common import PATIENCE, is_alive, wait_until
 
-CARS = """
-import ctypes, faulthandler, math, os, signal, subprocess, sys, time
+CARS = f"""{CONTROLLERS}
+import ctypes, faulthandler, math, signal, subprocess
 
-class _Car:
-    def reset(self, scenario, rng): self.calls = 0
-    def command(self, car, adversary):
-        self.calls += 1
-        return 0.0 if self.calls < 3 else self.late()
-
-class Raises(_Car):
-    def late(self): return 1 / 0
 class RaisesLate(_Car):
     "Stands until a harmless run has become longer than any crossing."
     def late(self): return -1 / (self.calls < 60)
@@ -88,7 +80,7 @@ def words(name: str, *more: str) -> list[str]:
         (
             "Raises",
             1,
-            ["failed with ZeroDivisionError", "cars.py, line 11); in a nominal run: φ 0, trial 0, t = 0.60 s"],
+            ["failed with ZeroDivisionError", "cars.py, line 14); in a nominal run: φ 0, trial 0, t = 0.60 s"],
         ),
         ("Exits", 1, ["3 episodes in a row failed", "process ended", "exit code 0"]),
         ("Crashes", 1, ["3 episodes in a row failed", "process ended", "SIGSEGV"]),
@@ -97,9 +89,7 @@ def words(name: str, *more: str) -> list[str]:
         ("exits_at_import:Car", 2, ["cannot be loaded", "exit code 0"]),
     ],
 )
-def test_a_controller_that_fails_ends_the_assessment_in_one_line(
-    cars: Path, name: str, code: int, parts: list[str]
-) -> None:
+def test_a_controller_that_fails_is_said_in_one_line(cars: Path, name: str, code: int, parts: list[str]) -> None:
     one_line(skd(*words(name), cwd=cars), code, name, *parts)
     assert not (cars / "out").exists()
 
@@ -107,7 +97,7 @@ def test_a_controller_that_fails_ends_the_assessment_in_one_line(
 def test_a_controller_that_fails_in_one_stage_keeps_its_other_figures_and_is_not_credible(cars: Path) -> None:
     done = skd(*words("RaisesLate", "--json"), cwd=cars)
     figures = json.loads(done.stdout)
-    assert figures["price_note"].endswith("line 14); in a price run: empty road, trial 0, t = 17.70 s")
+    assert figures["price_note"].endswith("line 22); in a price run: empty road, trial 0, t = 17.70 s")
     assert figures["nominal_collision_rate"] is not None
     assert done.returncode == 1
     assert "not credible: controller cars:RaisesLate: command failed with ZeroDivisionError" in done.stderr

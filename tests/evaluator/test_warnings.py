@@ -39,10 +39,8 @@ def test_safe_trajectory_that_is_always_hit_is_named():
     (line,) = figure_warnings(found.as_dict())
     assert "not safe with this car: 1 of 2 safe trajectories, e.g. two: 100 % of the runs" in line
     rows = found.as_dict()["per_safe_trajectory"]
-    assert [(row["contact_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
-        (0.0, 20, True),
-        (1.0, 20, False),
-    ]
+    names = ("contact_rate", "collision_runs", "safe")
+    assert [tuple(map(row.get, names)) for row in rows] == [(0.0, 20, True), (1.0, 20, False)]
     assert "100.0 %, not safe" in shown(found)
     assert figure_warnings(assessed(decide, replace(PLAN, collision_runs=8)).as_dict()) == []  # too few runs to say so
 

@@ -10,9 +10,7 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeSpec, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
-pytest.importorskip(
-    "commonroad_rp", reason="commonroad-reactive-planner is not installed: examples/commonroad_planner/README.md"
-)
+pytest.importorskip("commonroad_rp", reason="it is not installed: examples/commonroad_planner/README.md")
 
 from commonroad_planner import FULL_BRAKE, ReactivePlannerCar
 

@@ -81,9 +81,7 @@ def checked(path: Path) -> dict[str, tuple[str, list[str]]]:
         result.set_result_version(version="1")
         run_checks(asked, result)
         (bundle,) = result._report_results.checker_bundles
-        return {
-            one.checker_id: (one.status.name, [issue.description for issue in one.issues]) for one in bundle.checkers
-        }
+        return {one.checker_id: (one.status.name, [its.description for its in one.issues]) for one in bundle.checkers}
     finally:
         logging.disable(logging.NOTSET)
 

@@ -14,10 +14,6 @@ from skd_evaluator.extensions.exchange.readers import ImportRequest, listing, re
 from skd_sim import UsageError, load_scenario
 
 TIMED = '<TimeReference><Timing domainAbsoluteRelative="absolute" scale="1" offset="0"/></TimeReference>'
-LINE = "".join(
-    f'<Vertex time="{t}"><Position><WorldPosition x="{1.4 * t - 2.8}" y="1"/></Position></Vertex>' for t in range(5)
-)
-"""Along y = 1 from x = −2.8 to 2.8 m in 4 s."""
 ROAD = """<OpenDRIVE><road id="7" length="120"><planView>
 <geometry s="0" x="10" y="20" hdg="0" length="50"><line/></geometry>
 <geometry s="50" x="60" y="20" hdg="0" length="50"><arc curvature="0.02"/></geometry>
@@ -32,6 +28,10 @@ ROAD = """<OpenDRIVE><road id="7" length="120"><planView>
 def world(x: float, y: float, **more: object) -> str:
     further = "".join(f' {key}="{value}"' for key, value in more.items())
     return f'<Position><WorldPosition x="{x}" y="{y}"{further}/></Position>'
+
+
+LINE = "".join(f'<Vertex time="{t}">{world(1.4 * t - 2.8, 1)}</Vertex>' for t in range(5))
+"""Along y = 1 from x = −2.8 to 2.8 m in 4 s."""
 
 
 def follows(shape: str, name: str = "Walker", timed: str = TIMED, **attributes: str) -> str:

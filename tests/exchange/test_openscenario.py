@@ -76,13 +76,11 @@ def test_another_library_reads_each_way_as_it_was(result: Path, skd_here, tmp_pa
 
 def test_two_exports_are_the_same_to_the_byte_and_the_car_can_be_left_out(result: Path, skd_here, tmp_path: Path):
     for out, more in (("a", ()), ("b", ()), ("c", ("--no-car",))):
-        assert (
-            skd_here("export", result, "--format", "openscenario", "--worst", "2", *more, "--out", out).returncode == 0
-        )
+        words = ("export", result, "--format", "openscenario", "--worst", "2", *more)
+        assert skd_here(*words, "--out", out).returncode == 0
     names = sorted(path.name for path in (tmp_path / "a").iterdir())
-    assert [(tmp_path / "b" / name).read_bytes() for name in names] == [
-        (tmp_path / "a" / name).read_bytes() for name in names
-    ]
+    first, second = ([(tmp_path / out / name).read_bytes() for name in names] for out in "ab")
+    assert first == second
     (episode, *_) = (name for name in names if name.startswith("kamikaze"))
     root = ElementTree.parse(tmp_path / "c" / episode).getroot()
     driven = [one.get("entityRef") for one in root.iter("EntityRef")]

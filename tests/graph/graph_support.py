@@ -183,9 +183,7 @@ def assert_same_results(one: Path, other: Path) -> None:
     ours, theirs = numbers(one), numbers(other)
     for figure, names in _WITH_THE_CAR.items():
         if None in (ours[figure], theirs[figure]):
-            ours, theirs = (
-                {key: value for key, value in result.items() if not re.match(names, key)} for result in (ours, theirs)
-            )
+            ours, theirs = ({key: one[key] for key in one if not re.match(names, key)} for one in (ours, theirs))
     assert ours == theirs
     assert_same_episodes(*((folder / "episodes.npz").read_bytes() for folder in (one, other)))
 

@@ -84,15 +84,13 @@ sys.exit(skd())
 def test_a_command_whose_own_node_hangs_in_its_end(tmp_path: Path, safe: Path) -> None:
     """Results are written before, and it ends in time with the code that it deserves."""
     token = uuid.uuid4().hex
-    arguments = [
-        "assess", "--graph", "--record", "--adversary-model", "generic", "--margin-limit", 0, "--behaviour", "none",
-        "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2, "--simulations", 50,
-        "--no-pictures", "--out", tmp_path / "out",
+    command = [
+        sys.executable, "-c", ASSESS, "assess", "--graph", "--record", "--adversary-model", "generic",
+        "--margin-limit", 0, "--behaviour", "none", "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2,
+        "--collision-runs", 2, "--simulations", 50, "--no-pictures", "--out", tmp_path / "out",
     ]  # fmt: skip
     with in_domain(new_domain(), token):
-        process = subprocess.Popen(
-            [sys.executable, "-c", ASSESS, *map(str, arguments)], stderr=subprocess.PIPE, text=True
-        )
+        process = subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True)
     try:
         lines = []
         for line in process.stderr:

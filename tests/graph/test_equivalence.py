@@ -109,12 +109,8 @@ def test_cars_that_decide_between_ticks(tmp_path: Path, controller: str) -> None
 def test_a_car_that_steers_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
     """Its commands, too, and a state that does not follow from them is found in the bag."""
     weaving, scenario = f"{HERE.parent}/sim/test_steering.py:Weaving", load_scenario("crossing")
-    plan = Plan(
-        dataclasses.replace(scenario, control_period=0.05),
-        controller=weaving,
-        simulations=100,
-        adversary_model="generic",
-    )
+    scenario = dataclasses.replace(scenario, control_period=0.05)
+    plan = Plan(scenario, controller=weaving, simulations=100, adversary_model="generic")
     for kept in same_in_recordings(tmp_path, weaving, trials(plan)):
         assert np.ptp(kept.car[:, 2]) > 0.05
         assert run_episode(kept.episode).commands.tobytes() == kept.commands.tobytes()
@@ -127,9 +123,7 @@ def test_a_car_that_steers_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
 def test_assessments_are_the_same_to_the_last_bit(campaigns: dict[float, Campaign], multiplier: float) -> None:
     campaign = campaigns[multiplier]
     assert_same_results(campaign.graph, campaign.in_process)
-    one, other = (
-        json.loads((folder / "assessment.json").read_text()) for folder in (campaign.graph, campaign.in_process)
-    )
+    one, other = (json.loads((path / "assessment.json").read_text()) for path in (campaign.graph, campaign.in_process))
     for said in (one, other):
         assert_valid(said)
         assert said["provenance"]["command"].startswith("skd assess ")

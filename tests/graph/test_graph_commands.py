@@ -26,9 +26,12 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
     )
 
 
+UNKNOWN = ("--adversary-model", "generic", "--controller", "external")
+
+
 def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     """It says what it waits for, once, and does not wait for hours."""
-    finished = assess(tmp_path, safe, "--adversary-model", "generic", "--controller", "external", timeout=1.0)
+    finished = assess(tmp_path, safe, *UNKNOWN, timeout=1.0)
     assert finished.code == 1
     assert finished.lines[0].startswith("skd: waiting for a publisher of /ego/acceleration_command (ROS_DOMAIN_ID=")
     first, last = finished.timeless[1:]
@@ -79,9 +82,7 @@ DIES = "import sys; print('brakes: no such device', file=sys.stderr); sys.exit(3
     ],
 )
 def test_a_command_that_does_not_run(tmp_path: Path, safe: Path, command: str, code: int, said: list[str]) -> None:
-    finished = assess(
-        tmp_path, safe, "--adversary-model", "generic", "--controller", "external", "--controller-command", command
-    )
+    finished = assess(tmp_path, safe, *UNKNOWN, "--controller-command", command)
     assert finished.code == code
     assert len(finished.timeless) == len(said)
     for line, wanted in zip(finished.timeless, said, strict=True):

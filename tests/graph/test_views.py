@@ -81,17 +81,13 @@ def test_foxglove(published: dict[str, str]) -> None:
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
 
 
-def shown(
-    scenario: Scenario, car: tuple[float, float, float] | None, *walked: tuple[float, float]
-) -> dict[int, Marker]:
+def shown(scenario: Scenario, car: tuple[float, ...] | None, *walked: tuple[float, float]) -> dict[int, Marker]:
     samples = Samples()
     if car is not None:
         samples.car[0] = CarState(*car, 5.0)
     for stamp, place in enumerate(walked):
         samples.adversary[stamp] = place
-    return {
-        marker.type: marker for marker in episode_markers(EpisodeSpec(scenario, Mode.SAFE, 0, 0), samples, 0).markers
-    }
+    return {one.type: one for one in episode_markers(EpisodeSpec(scenario, Mode.SAFE, 0, 0), samples, 0).markers}
 
 
 def heading(marker: Marker) -> float:

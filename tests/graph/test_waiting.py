@@ -134,10 +134,7 @@ def test_the_cause_is_found_and_what_mends_it_is_said(graph: Graph, name: str) -
 def test_a_managed_node_may_not_be_active(graph: Graph) -> None:
     node = LifecycleNode("planner")
     try:
-        wait_until(
-            lambda: "-p lifecycle_nodes:=/planner" in diagnose(Evidence(graph.watcher, COMMANDS, START)).text,
-            "the node",
-        )
+        wait_until(lambda: "-p lifecycle_nodes:=/planner" in diagnose(Evidence(graph.watcher, COMMANDS, START)).text)
     finally:
         node.destroy_node()
 

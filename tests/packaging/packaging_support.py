@@ -51,9 +51,7 @@ def defaults_on_file(node: str) -> dict[str, Any]:
 def setup_arguments(package: str) -> dict[str, Any]:
     """Return what a package's setup.py says, as far as it is literal."""
     tree = ast.parse((SOURCE / package / "setup.py").read_text(encoding="utf-8"))
-    (call,) = [
-        node for node in ast.walk(tree) if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup"
-    ]
+    (call,) = [one for one in ast.walk(tree) if isinstance(one, ast.Call) and getattr(one.func, "id", "") == "setup"]
     found = {}
     for keyword in call.keywords:
         try:

@@ -105,10 +105,8 @@ def test_it_assesses_and_reports(environment, tmp_path):
 
 def test_advice_names_what_an_index_has(environment, tmp_path):
     """Packages that exist, with the ranges of the extras; a checkout is not there."""
-    found = json.loads(run(environment / "bin" / "skd", "doctor", "--no-round-trip", "--json", folder=tmp_path))[
-        "findings"
-    ]
-    advice = {one["name"]: one["remedy"] for one in found if one["state"] == "absent"}
+    said = run(environment / "bin" / "skd", "doctor", "--no-round-trip", "--json", folder=tmp_path)
+    advice = {one["name"]: one["remedy"] for one in json.loads(said)["findings"] if one["state"] == "absent"}
     (cluster,) = [text for text in metadata.requires("skd") or () if 'extra == "dask"' in text.replace("'", '"')]
     words = advice["dask"].split(" -m pip install ")
     assert words[0] == str(environment / "bin" / "python")

@@ -195,9 +195,5 @@ def changed(content: Any, field: str, value: Any) -> Any:
 
 def forged(sent: Sequence[Sent], place: int, field: str, value: Any) -> list[Sent]:
     """Return messages of which one says something else."""
-    message = sent[place]
-    return [
-        *sent[:place],
-        dataclasses.replace(message, content=changed(message.content, field, value)),
-        *sent[place + 1 :],
-    ]
+    content = changed(sent[place].content, field, value)
+    return [*sent[:place], dataclasses.replace(sent[place], content=content), *sent[place + 1 :]]

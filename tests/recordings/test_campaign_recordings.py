@@ -97,11 +97,8 @@ def _trials(log: EpisodeLog) -> list[EpisodeSpec]:
     phi = log.episode.safe_trajectory
     assert phi is not None
     models = [car_model_text(replace(CAR, waiting_reward=reward)) for reward in (-0.1, -0.4)]
-    return [
-        one
-        for model in models
-        for one in own_trials(plan, model, [phi], 2, begin=100, objectives=(Objective.DEVIATION,))
-    ]
+    how = {"begin": 100, "objectives": (Objective.DEVIATION,)}
+    return [one for model in models for one in own_trials(plan, model, [phi], 2, **how)]
 
 
 def test_each_has_a_bag_of_its_own(logs: list[EpisodeLog]) -> None:

@@ -116,9 +116,8 @@ def copy(made: Path, tmp_path: Path) -> Path:
 
 def test_what_is_not_credible_is_so_for_who_learns_from_it(copy, tmp_path, capsys):
     for path in (path for path in map(copy.joinpath, ("probe.json", "assessment.json")) if path.exists()):
-        path.write_text(
-            json.dumps({**json.loads(path.read_text()), "warnings": [f"{NOT_CREDIBLE}it counts", "harmless"]})
-        )
+        content = json.loads(path.read_text())
+        path.write_text(json.dumps({**content, "warnings": [f"{NOT_CREDIBLE}it counts", "harmless"]}))
     assert run_skd("fit", copy, "--json", "--out", tmp_path / "model") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
     assert said == [f"skd fit: warning: {copy / 'episodes.npz'}: {NOT_CREDIBLE}it counts"]

@@ -257,10 +257,8 @@ def test_objects_of_autoware_are_the_road_users_of_a_drive(tmp_path: Path, monke
     monkeypatch.setattr("test_recorded_tracks.typestore", lambda: store)
     sent = []
     for tick in range(200):
-        time, ((ego,), (user,)) = (
-            CLOCK + tick / 20.0,
-            (place(np.array([tick / 20.0])) for place in (straight, crossing())),
-        )
+        time = CLOCK + tick / 20.0
+        (ego,), (user,) = (place(np.array([tick / 20.0])) for place in (straight, crossing()))
         at = made("geometry_msgs/msg/PoseWithCovariance", pose=pose(*user.tolist(), 0.0), covariance=np.zeros(36))
         one = made(
             f"{package}TrackedObject",

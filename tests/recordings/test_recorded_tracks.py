@@ -303,9 +303,7 @@ def test_any_hole_in_a_transform_longer_than_the_limit_is_found(tmp_path, link, 
 
 def test_frames_that_nobody_asks_for_spoil_nothing(tmp_path: Path):
     """A wheel that is no number is in `drive`; a box hangs on two frames one after the other."""
-    box = [
-        transform(100.0 + tick / 20, "base_link" if tick < 60 else "map", "box", 0.1, 0.0, 0.0) for tick in range(121)
-    ]
+    box = [transform(100.0 + k / 20, "base_link" if k < 60 else "map", "box", 0.1, 0.0, 0.0) for k in range(121)]
     plain, more = write(tmp_path / "a.mcap", drive()), write(tmp_path / "b.mcap", [*drive(), *box])
     assert bits(*read(plain, "/tf:base_link")) == bits(*read(more, "/tf:base_link"))
     (track,) = read(more, "/tf:box", map_frame="map")

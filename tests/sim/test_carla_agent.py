@@ -66,10 +66,8 @@ def cruise(controller: CarlaAgent, ahead: float, ticks: int) -> float:
     """Keep an adversary at a distance; return the speed that the car settles at, m/s."""
     y, speed = 0.0, 25.0 / 3.0
     for _ in range(ticks):
-        acceleration = controller.command(
-            CarState(0.0, y, HEADING_NORTH, speed), AdversaryState(0.0, y + ahead, 0.0, 0.0)
-        )
-        after = next_speed(speed, acceleration, 0.0, 0.3)
+        car, adversary = CarState(0.0, y, HEADING_NORTH, speed), AdversaryState(0.0, y + ahead, 0.0, 0.0)
+        after = next_speed(speed, controller.command(car, adversary), 0.0, 0.3)
         y += travelled(speed, after, 0.3)
         speed = after
     return speed * 3.6

@@ -169,9 +169,7 @@ def test_an_assessment_has_all_its_parts_and_keeps_the_pedals(tmp_path) -> None:
     end()
     out = tmp_path / "out"
     words = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 4, "--simulations", 100)
-    code = run_skd(
-        "assess", "--simulator", "metadrive", *words, "--workers", 2, "--out", out, "--quiet", "--no-pictures"
-    )
+    code = run_skd("assess", "--simulator", "metadrive", *words, "--workers", 2, "--out", out, "-q", "--no-pictures")
     result = json.loads((out / "assessment.json").read_text())
     assert (code, result["aborted"]) == (0, 0)
     assert result["margin"] is not None

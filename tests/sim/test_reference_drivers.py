@@ -89,9 +89,8 @@ def test_drivers_rank_in_cut_ins_as_in_the_literature():
 
 
 def situation(gap: float, speed: float, lead: float = 0.0, **more: float) -> RelativeState:
-    return RelativeState(gap=gap, length=9.0, aside=-1.0, speed=speed, lead=lead, closing=0.0, strayed=0.0)._replace(
-        **more
-    )
+    calm = {"length": 9.0, "aside": -1.0, "closing": 0.0, "strayed": 0.0}
+    return RelativeState(gap=gap, speed=speed, lead=lead, **(calm | more))
 
 
 def made(name: str):

@@ -23,6 +23,7 @@ from skd_sim.scenario.road import (
     road_position,
 )
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from test_scenario import BASE, LANES
 
 BEYOND = 40.0  # m of the straight lines at both ends that are sampled
 SPACING = 0.01  # m between samples: the chord of an arc of 3 m radius is 4 µm off
@@ -114,14 +115,8 @@ def test_the_straight_lane_to_the_north_is_exact(x: float, y: float) -> None:
     assert not Road(3.5, parts=(Part(5.0, 8.0, "left"),)).straight
 
 
-BASE = load_scenario("crossing").as_dict()
 TURN = load_scenario("right_turn").as_dict()
 FOUR = (Lane(-1, direction=ONCOMING), Lane(-2, 3.0, ONCOMING), Lane(1, 2.5), Lane(7, 4.0, x=5.0, y=20.0, heading=0.0))
-LANES = [
-    {"number": -1, "direction": "oncoming"},
-    {"number": 1, "width": 3.0},
-    {"number": 9, "x": 0.0, "y": 30.0, "heading": 0.0},
-]
 BOX = {"kind": "car", "length": 4.0, "width": 1.8}
 
 

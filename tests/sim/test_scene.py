@@ -90,9 +90,7 @@ def test_one_in_the_way_of_the_car_or_at_the_start_is_refused(obstacle: Obstacle
 def test_a_way_through_one_is_refused_and_said_where() -> None:
     scenario = with_obstacles(Obstacle(5.0, 8.0, 0.0, 1.0, 1.0), PARKED)
     points = np.array([(-2.6, 2.0), (-2.6, 0.0), (-2.6, -4.0), (-2.6, -8.0)])
-    with pytest.raises(
-        UsageError, match=r"'way' runs into obstacles\[1\] of scenario crossing at 0.6 s, at \(-2.6, -4\)"
-    ):
+    with refused("'way' runs into obstacles[1] of scenario crossing at 0.6 s, at (-2.6, -4)"):
         check_trajectory(scenario, Trajectory(points, 0.3, "way"))
     check_trajectory(scenario, Trajectory(points[:2], 0.3, "way"))
     check_trajectory(CROSSING, Trajectory(points, 0.3, "way"))
