@@ -19,6 +19,7 @@ from skd_evaluator.cli.gate import Gate
 from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
 from skd_evaluator.metrics.statistics import mean
+from skd_evaluator.report.formats import figure_rows
 from skd_evaluator.report.presentation import junit_xml, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, load_scenario
@@ -76,6 +77,7 @@ def test_no_gate_passes_with_figures_that_are_not_credible(result):
 def test_a_car_that_stands_has_no_price(result):
     stands = {**result, "deadlock": 1.0, "time_lost": 0.0, "time_lost_ci95": [0.0, 0.0]}
     assert "| price of caution (s) | —, never passes, on the empty road either | — | — |" in markdown(stands, [])
+    assert [row.value for row in figure_rows(stands) if row.name == "price of caution (s)"] == ["never passes"]
 
 
 class Aborting:

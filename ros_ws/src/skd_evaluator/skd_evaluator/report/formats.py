@@ -375,6 +375,8 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> Iterator[FigureRow]
         "optimality_gap": {"alert": close is not None and close > GAP_WARNING},
         "time_lost": {"note": beside(AT_THE_TOP["time_lost"], figures)},
     }
+    if never_passes(figures):
+        special["time_lost"] = {"value": "never passes", "note": "on the empty road either"}
     if figures["skd"] is None:
         special["skd"] = {"value": "none kept" if figures["discarded_by_distance"] else "no kamikaze found"}
     for one in shown_in("summary"):
