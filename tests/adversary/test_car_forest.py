@@ -12,27 +12,11 @@ import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from recorded_cars import logs_of
-from skd_adversary.car_models.car_model_file import (
-    FittedCar,
-    car_model_text,
-    fitted_car,
-    read_car_model,
-    write_car_model,
-)
+from skd_adversary.car_models import car_model_file
 from skd_adversary.car_models.fit import learn_car
 from skd_adversary.car_models.forest import FEATURES, GRID, LEAST_DONORS, TREES, Trees, described, grow, leaf_of
 from skd_adversary.car_models.observations import Observations
-from skd_adversary.crossing.cars import (
-    CHANGE,
-    CHANGE_BEFORE,
-    FOREST_STATE_DIM,
-    POSE,
-    RECEDING,
-    SIDEWAYS,
-    TREE,
-    LearnedCar,
-    unknown_car,
-)
+from skd_adversary.crossing import cars
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.model import CURVED, STRAIGHT, compose
 from skd_adversary.crossing.objectives import objective_named
@@ -64,7 +48,7 @@ def logs() -> Observations:
 
 
 @pytest.fixture(scope="module")
-def learned(logs: Observations) -> FittedCar:
+def learned(logs: Observations) -> car_model_file.FittedCar:
     return learn_car(logs, folds=2)
 
 
@@ -86,7 +70,7 @@ def test_its_leaves_are_those_of_scikit_learn(logs: Observations) -> None:
             np.testing.assert_allclose(np.sort(trees.donors[first : first + count, 0]), np.sort(same), atol=1e-6)
 
 
-def test_no_law_explains_this_car_and_the_forest_predicts_it(learned: FittedCar) -> None:
+def test_no_law_explains_this_car_and_the_forest_predicts_it(learned: car_model_file.FittedCar) -> None:
     assert learned.forest is not None
     law, forest = learned.predictions
     assert (law.model, forest.model) == ("law", "forest")
@@ -104,11 +88,11 @@ def test_the_law_stays_where_the_car_has_one() -> None:
 
 
 @pytest.mark.parametrize("name", ["crossing", "right_turn"])
-def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
+def test_a_step_does_what_donors_did(name: str, learned: car_model_file.FittedCar) -> None:
     """Many steps from one state: the shares of changes of speed are those that the donors' leaves have."""
     scenario = load_scenario(name)
     path = np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)])
-    prediction = LearnedCar(learned, unknown_car())
+    prediction = cars.LearnedCar(learned, cars.unknown_car())
     model = compose(
         scenario,
         objective_named(Objective.DEVIATION),
@@ -118,20 +102,20 @@ def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
         path=path,
         road_user=road_user_named(scenario.adversary.kind),
     )
-    assert prediction.kernels.own_dim == FOREST_STATE_DIM - STATE_DIM
+    assert prediction.kernels.own_dim == cars.FOREST_STATE_DIM - STATE_DIM
     p, rng = model.parameters, np.random.default_rng(5)
     state, after = np.zeros(model.state_dim), np.empty(model.state_dim)
     model.initial(p, state, rng)
     state[CAR_S], state[CAR_SPEED] = -12.0, 6.0
-    state[SIDEWAYS], state[RECEDING], state[CHANGE], state[CHANGE_BEFORE] = 2.5, 0.0, -0.4, -0.3
+    state[cars.SIDEWAYS], state[cars.RECEDING], state[cars.CHANGE], state[cars.CHANGE_BEFORE] = 2.5, 0.0, -0.4, -0.3
     changes = []
     for _ in range(4000):
         model.step(p, state, 2, after, rng)
         changes.append(after[CAR_SPEED] - state[CAR_SPEED])
         assert after[CAR_S] >= state[CAR_S]
         assert after[CAR_SPEED] >= 0.0
-        assert after[CHANGE_BEFORE] == state[CHANGE]
-        assert after[TREE] == state[TREE]
+        assert after[cars.CHANGE_BEFORE] == state[cars.CHANGE]
+        assert after[cars.TREE] == state[cars.TREE]
     if name != "crossing":
         assert np.std(changes) > 0.01
         return
@@ -149,20 +133,21 @@ def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
         assert abs(np.mean(np.array(changes) <= limit + 1e-9) - expected) < 4.0 * 0.5 / np.sqrt(4000)
 
 
-def test_file_beside_the_yaml_belongs_to_it(learned: FittedCar, tmp_path: Path) -> None:
-    write_car_model(tmp_path / "car_model.yaml", learned)
-    assert read_car_model(tmp_path) == learned
-    assert replace(fitted_car(car_model_text(learned)), families=learned.families) == learned
-    assert len(car_model_text(learned)) < 1_000_000
+def test_file_beside_the_yaml_belongs_to_it(learned: car_model_file.FittedCar, tmp_path: Path) -> None:
+    car_model_file.write_car_model(tmp_path / "car_model.yaml", learned)
+    assert car_model_file.read_car_model(tmp_path) == learned
+    text = car_model_file.car_model_text(learned)
+    assert replace(car_model_file.fitted_car(text), families=learned.families) == learned
+    assert len(text) < 1_000_000
     beside = tmp_path / "car_model.forest"
     assert (tmp_path / "car_model.yaml").stat().st_size < 20_000
     content = beside.read_bytes()
     beside.write_bytes(content[:-1])
     with pytest.raises(UsageError, match="its SHA-256 differs"):
-        read_car_model(tmp_path)
+        car_model_file.read_car_model(tmp_path)
     beside.unlink()
     with pytest.raises(UsageError, match="cannot be read"):
-        read_car_model(tmp_path)
+        car_model_file.read_car_model(tmp_path)
 
 
 SCENARIOS = {name: load_scenario(name) for name in ("cbtafs", "cptans", "right_turn")}
@@ -230,8 +215,8 @@ def test_of_a_car_that_evades_the_forest_says_where_it_goes_and_points() -> None
     for column in (1, 2):
         values = found[::5, column]
         assert np.std(donors[:, column + 1] - values) < 0.3 * values.std()
-    assert LearnedCar(learned, unknown_car()).sensor is POSE
-    assert fitted_car(car_model_text(learned)).forest == learned.forest
+    assert cars.LearnedCar(learned, cars.unknown_car()).sensor is cars.POSE
+    assert car_model_file.fitted_car(car_model_file.car_model_text(learned)).forest == learned.forest
     straight = learn_car(logs_of(GradedCar(), 24))
     assert straight.forest is None or not straight.forest.evades
 
@@ -269,6 +254,6 @@ def test_the_pose_that_is_seen_is_the_cars_with_noise(name: str) -> None:
     x, y, heading = road_pose(scenario.road.line, -10.0)
     car = CarState(x + 2.0 * np.sin(heading), y - 2.0 * np.cos(heading), heading - 0.3, 8.0)
     own = beside_road(scenario.road.line, np.array([[-3.0, 1.0]]))[0]
-    seen = np.array([POSE.sense(scenario, (own[0], own[1]), car, rng) for _ in range(4000)])
+    seen = np.array([cars.POSE.sense(scenario, (own[0], own[1]), car, rng) for _ in range(4000)])
     assert seen.mean(axis=0) == pytest.approx([-11.0, 5.0, 0.3], abs=0.06)
     assert seen.std(axis=0) == pytest.approx([1.0, 1.0, 0.1], rel=0.1)

@@ -8,15 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from road_user_limits import BODIES, beyond, straight, tally, with_kind
-from skd_adversary.crossing.road_users import (
-    BRAKE,
-    BRAKE_LEFT,
-    check_kind,
-    nearest_walked,
-    ridden,
-    road_user_named,
-    settled,
-)
+from skd_adversary.crossing import road_users
 from skd_evaluator import deviation, run_episode
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Trajectory, UsageError, load_scenario
 from skd_sim.options.car_and_adversary import AdversaryModel, Objective
@@ -44,15 +36,15 @@ def test_kamikazes_keep_to_the_limits_of_their_kind(kind: str) -> None:
 @pytest.mark.parametrize("kind", WHEELED)
 def test_nobody_who_has_braked_to_a_stand_turns_on_the_spot(kind: str) -> None:
     """Braking ends at no speed at all: 0.9 − 3 · 0.3 leaves 1e-16 m/s, which would turn by 30° a tick."""
-    limits = road_user_named(kind).parameters(load_scenario("cyclist"))["own_limits"]
+    limits = road_users.road_user_named(kind).parameters(load_scenario("cyclist"))["own_limits"]
     for start in np.linspace(0.1, 6.0, 60).tolist():
         heading, speed = 0.5, start
         for _ in range(40):
-            velocity = ridden(limits, heading, speed, BRAKE, 10.0, 0.3)
-            heading, speed = settled(heading, *velocity)
+            velocity = road_users.ridden(limits, heading, speed, road_users.BRAKE, 10.0, 0.3)
+            heading, speed = road_users.settled(heading, *velocity)
         for _ in range(3):
-            velocity = ridden(limits, heading, speed, BRAKE_LEFT, 10.0, 0.3)
-            heading, speed = settled(heading, *velocity)
+            velocity = road_users.ridden(limits, heading, speed, road_users.BRAKE_LEFT, 10.0, 0.3)
+            heading, speed = road_users.settled(heading, *velocity)
             assert velocity == (0.0, 0.0)
         assert heading == pytest.approx(0.5, abs=1e-12)
 
@@ -71,7 +63,7 @@ CHILD = load_scenario("child")
 
 @given(*[st.floats(-3.0, 3.0) for _ in range(4)])
 def test_nothing_that_it_could_do_comes_nearer_to_what_is_wanted(vx: float, vy: float, wx: float, wy: float) -> None:
-    x, y = nearest_walked(0.6, vx, vy, wx, wy)
+    x, y = road_users.nearest_walked(0.6, vx, vy, wx, wy)
     assert math.hypot(x - vx, y - vy) <= 0.6 + 1e-12
     away = math.hypot(wx - x, wy - y)
     assert away == pytest.approx(max(0.0, math.hypot(wx - vx, wy - vy) - 0.6), abs=1e-12)
@@ -79,9 +71,9 @@ def test_nothing_that_it_could_do_comes_nearer_to_what_is_wanted(vx: float, vy: 
 
 def test_a_kind_has_a_speed_and_a_shape() -> None:
     with pytest.raises(UsageError, match=r"adversary\.speed 9 m/s is more than any child does; give at most 8"):
-        check_kind(replace(CHILD, adversary=replace(CHILD.adversary, speed=9.0)))
+        road_users.check_kind(replace(CHILD, adversary=replace(CHILD.adversary, speed=9.0)))
     with pytest.raises(UsageError, match=r"a cyclist is a box that points the way it moves"):
-        check_kind(replace(CHILD, adversary=replace(CHILD.adversary, kind="cyclist")))
+        road_users.check_kind(replace(CHILD, adversary=replace(CHILD.adversary, kind="cyclist")))
 
 
 CUT_IN = load_scenario("cut_in")

@@ -5,17 +5,10 @@ import logging
 import random
 
 import pytest
-from skd_evaluator.extensions.protocols.matrices import (
-    Criterion,
-    MatrixPoint,
-    colour_of,
-    known_scenarios,
-    matrix_of,
-    scenarios_of,
-)
+from skd_evaluator.extensions.protocols import matrices
 from skd_evaluator.extensions.protocols.result import Grid, GridCell, points_of
 
-TESTS = sorted({matrix.test for name in known_scenarios() if (matrix := matrix_of(name)) is not None})
+TESTS = sorted({matrix.test for name in matrices.known_scenarios() if (matrix := matrices.matrix_of(name)) is not None})
 GRIDS = 200
 
 
@@ -63,16 +56,16 @@ def key_of(one) -> tuple[str, float, float, float | None]:
     )
 
 
-def ours_in(name: str) -> dict[tuple[str, float, float, float | None], MatrixPoint]:
+def ours_in(name: str) -> dict[tuple[str, float, float, float | None], matrices.MatrixPoint]:
     turn = {"f": "Farside", "n": "Nearside"}[name[4]] if name[1:4] in ("pta", "bta") else ""
-    return {(turn, point.speed, point.target, point.place): point for point in matrix_of(name).points}
+    return {(turn, point.speed, point.target, point.place): point for point in matrices.matrix_of(name).points}
 
 
-def ours(test: str) -> dict[tuple[str, float, float, float | None], MatrixPoint]:
-    return {key: point for name in scenarios_of(test) for key, point in ours_in(name).items()}
+def ours(test: str) -> dict[tuple[str, float, float, float | None], matrices.MatrixPoint]:
+    return {key: point for name in matrices.scenarios_of(test) for key, point in ours_in(name).items()}
 
 
-def random_value(draw: random.Random, criterion: Criterion, speed: float) -> float:
+def random_value(draw: random.Random, criterion: matrices.Criterion, speed: float) -> float:
     """Often on an edge of a band: there a code of its own is wrong first."""
     if draw.random() < 0.4:
         return float(draw.choice([0, 10, 20, 30, 9.999999, 10.000001]))
@@ -98,7 +91,7 @@ def test_colours_and_points_of_random_grids_are_the_calculators(template):
             point = points[key_of(one)]
             value = random_value(draw, point.criterion, point.speed)
             measured = matrix_processing.ComputedTestPoint(one, test, value).measured_color.value
-            colour = colour_of(point.criterion, point.speed, value)
+            colour = matrices.colour_of(point.criterion, point.speed, value)
             assert colour == measured, (test, key_of(one), value)
             coloured[key_of(one)] = colour
             theirs.append(dataclasses.replace(one, color=PredictionColor(measured)))
@@ -114,7 +107,7 @@ def test_colours_and_points_of_random_grids_are_the_calculators(template):
 
 def grids_of(test: str, coloured: dict[tuple[str, float, float, float | None], str]) -> list[Grid]:
     grids = []
-    for name in scenarios_of(test):
+    for name in matrices.scenarios_of(test):
         cells = tuple(
             GridCell(
                 speed=point.speed,

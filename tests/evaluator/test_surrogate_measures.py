@@ -5,26 +5,8 @@ import math
 import numpy as np
 import pytest
 import shapely
+from skd_evaluator.metrics import surrogate_measures as measures
 from skd_evaluator.metrics.contact_place import deceleration_at_entry
-from skd_evaluator.metrics.surrogate_measures import (
-    CAR_MASS,
-    MOST,
-    ODDS_INTERVAL,
-    brake_threat_numbers,
-    clearances,
-    closing_speeds,
-    collision_times,
-    delta_v,
-    episode_measures,
-    fatality_risk,
-    greater_delta_v,
-    greatest_required_deceleration,
-    headways,
-    least_clearance,
-    post_encroachment_times,
-    required_decelerations,
-    surrogate_measures,
-)
 from skd_evaluator.metrics.surrogate_scenes import EpisodeMotion, Interaction, Interactions, scene_of, velocities
 from skd_sim import EpisodeLog, EpisodeSpec, Mode, Outcome, Trajectory, load_scenario
 from skd_sim.scenario.road_user import ROAD_USERS
@@ -67,7 +49,7 @@ def test_clearances_are_distances_of_polygons(shape):
     rng = np.random.default_rng(1)
     for _ in range(SCENES):
         scene = scene_at(rng, shape)
-        assert clearances(scene) == pytest.approx(distances(scene), abs=1e-9)
+        assert measures.clearances(scene) == pytest.approx(distances(scene), abs=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(0.25, 0.0, 0.0), (0.0, 0.9, 0.3)])
@@ -78,9 +60,9 @@ def test_the_least_clearance_lies_between_moments_too(shape):
         scene = scene_at(rng, shape, rows=5)
         dense = Interactions.of(scene).every(0.002).whole
         expected = distances(dense).min()
-        found = least_clearance(scene)
+        found = measures.least_clearance(scene)
         assert expected - 0.02 <= found <= expected + 1e-6  # at 15 m/s, 2 ms are 30 mm, half of which to the nearer one
-        between += found < clearances(scene).min() - 1e-6
+        between += found < measures.clearances(scene).min() - 1e-6
     assert between > 10
 
 
@@ -90,9 +72,9 @@ def test_after_the_time_to_collision_the_outlines_touch_and_not_before(shape):
     met = 0
     for _ in range(3 * SCENES):
         scene = scene_at(rng, shape)
-        time = collision_times(scene)[0]
+        time = measures.collision_times(scene)[0]
         moving = np.array([math.cos(scene.car[0, 2]), math.sin(scene.car[0, 2])]) * scene.car[0, 3]
-        if math.isinf(time) or clearances(scene)[0] == 0.0:
+        if math.isinf(time) or measures.clearances(scene)[0] == 0.0:
             assert time in (0.0, math.inf)
             continue
         met += 1
@@ -118,11 +100,11 @@ def test_closed_forms_of_following():
         scene, closing = following(gap, speed, ahead), speed - ahead
         comes = closing > 0.0 and gap / closing <= 20.0
         needed = closing**2 / (2.0 * gap) if comes else 0.0
-        assert collision_times(scene)[0] == pytest.approx(gap / closing if comes else math.inf, abs=1e-6)
-        assert required_decelerations(scene)[0] == pytest.approx(needed, abs=1e-6)
-        assert greatest_required_deceleration(scene) == pytest.approx(min(MOST, needed), abs=1e-6)
-        assert brake_threat_numbers(scene, 8.0)[0] == pytest.approx(needed / 8.0, abs=1e-6)
-        assert headways(scene)[0] == pytest.approx(gap / speed, abs=1e-6)
+        assert measures.collision_times(scene)[0] == pytest.approx(gap / closing if comes else math.inf, abs=1e-6)
+        assert measures.required_decelerations(scene)[0] == pytest.approx(needed, abs=1e-6)
+        assert measures.greatest_required_deceleration(scene) == pytest.approx(min(measures.MOST, needed), abs=1e-6)
+        assert measures.brake_threat_numbers(scene, 8.0)[0] == pytest.approx(needed / 8.0, abs=1e-6)
+        assert measures.headways(scene)[0] == pytest.approx(gap / speed, abs=1e-6)
 
 
 def test_somebody_who_will_have_passed_needs_no_braking():
@@ -130,9 +112,9 @@ def test_somebody_who_will_have_passed_needs_no_braking():
     aside = Interaction(
         scene.times, scene.car, scene.other + np.array([0.0, 2.0]), np.array([[0.0, 3.0]]), *_rest(scene)
     )
-    assert np.isinf(collision_times(aside)).all()
-    assert greatest_required_deceleration(aside) == 0.0
-    assert math.isinf(headways(aside)[0])
+    assert np.isinf(measures.collision_times(aside)).all()
+    assert measures.greatest_required_deceleration(aside) == 0.0
+    assert math.isinf(measures.headways(aside)[0])
 
 
 def _rest(scene: Interaction) -> tuple[np.ndarray, tuple[float, float, float], tuple[float, float, float]]:
@@ -169,7 +151,7 @@ def crossing_at(rng: np.random.Generator) -> tuple[Interaction, float]:
 
 
 def encroachment(scene: Interaction) -> float:
-    return float(post_encroachment_times(Interactions.of(scene))[0])
+    return float(measures.post_encroachment_times(Interactions.of(scene))[0])
 
 
 def test_post_encroachment_times_are_those_of_the_four_moments():
@@ -197,22 +179,22 @@ def test_what_a_contact_does():
     for _ in range(SCENES):
         scene = scene_at(rng, (0.25, 0.0, 0.0))
         own = scene.car[1, 3] * np.array([math.cos(scene.car[1, 2]), math.sin(scene.car[1, 2])])
-        assert closing_speeds(scene)[-1] == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
+        assert measures.closing_speeds(scene)[-1] == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
         closing, mass, other = rng.uniform(0.0, 30.0), rng.uniform(800.0, 2500.0), rng.uniform(20.0, 120.0)
         # Momentum before and after; both go on together.
         together = mass * closing / (mass + other)
-        assert delta_v(closing, mass, other) == pytest.approx(closing - together, abs=1e-6)
-        assert delta_v(closing, other, mass) == pytest.approx(together, abs=1e-6)
+        assert measures.delta_v(closing, mass, other) == pytest.approx(closing - together, abs=1e-6)
+        assert measures.delta_v(closing, other, mass) == pytest.approx(together, abs=1e-6)
 
 
 @pytest.mark.parametrize(("kmh", "published"), [(30, 0.05), (37, 0.10), (59, 0.50), (69, 0.75), (80, 0.90)])
 def test_the_risk_is_the_published_one(kmh, published):
     """Of the paper's summary, rounded to percents there."""
-    risk = fatality_risk(kmh / 3.6)
+    risk = measures.fatality_risk(kmh / 3.6)
     assert risk == pytest.approx(published, abs=0.015)
-    low, high = sorted(fatality_risk(kmh / 3.6, odds) for odds in ODDS_INTERVAL)
+    low, high = sorted(measures.fatality_risk(kmh / 3.6, odds) for odds in measures.ODDS_INTERVAL)
     assert low <= risk <= high
-    odds = [one / (1 - one) for one in (risk, fatality_risk((kmh + 1) / 3.6))]
+    odds = [one / (1 - one) for one in (risk, measures.fatality_risk((kmh + 1) / 3.6))]
     assert odds[1] / odds[0] == pytest.approx(1.11)
 
 
@@ -221,13 +203,13 @@ def test_the_measures_of_an_episode():
     times = 0.3 * np.arange(9)
     phi = np.column_stack([-3.5 + 1.4 * times, np.zeros(9)])
     car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, NORTH), np.full(9, 6.0)])
-    found = episode_measures(scenario, EpisodeMotion(times, phi, car), collided=False)
+    found = measures.episode_measures(scenario, EpisodeMotion(times, phi, car), collided=False)
     scene = scene_of(scenario, times, phi, car)
-    assert found["clearance"] == least_clearance(scene)
+    assert found["clearance"] == measures.least_clearance(scene)
     over = found["over_time"]
     assert len(over["time"]) == len(over["time_to_collision"]) == len(over["headway"])
     assert found["fatality_risk"] is None
-    hit = episode_measures(scenario, EpisodeMotion(times, phi, car), collided=True)
+    hit = measures.episode_measures(scenario, EpisodeMotion(times, phi, car), collided=True)
     assert hit["closing_speed"] == pytest.approx(math.hypot(6.0, 1.4))
     assert hit["fatality_risk_interval"][0] < hit["fatality_risk"] < hit["fatality_risk_interval"][1]
 
@@ -244,9 +226,9 @@ def test_episodes_together_are_what_they_are_alone(name):
         along, speeds = np.cumsum(rng.uniform(0.0, 2.0, count)) - 8.0, rng.uniform(0, 9, count)
         car = np.column_stack([np.zeros(count), along, np.full(count, NORTH), speeds])
         courses.append(EpisodeMotion(times, adversary, car))
-    together = surrogate_measures(scenario, courses, collided)
+    together = measures.surrogate_measures(scenario, courses, collided)
     for number, one in enumerate(courses):
-        alone = surrogate_measures(scenario, [one], collided[number : number + 1])
+        alone = measures.surrogate_measures(scenario, [one], collided[number : number + 1])
         assert {key: values[0] for key, values in alone.items()} == pytest.approx(
             {key: values[number] for key, values in together.items()}, abs=1e-12, nan_ok=True
         )
@@ -258,12 +240,13 @@ def test_episodes_together_are_what_they_are_alone(name):
 
 
 def test_of_a_contact_the_lighter_one_changes_more():
-    for kind, mass in (("pedestrian", 78.0), ("child", 23.0), ("cyclist", 95.0), ("car", CAR_MASS), ("van", 2500.0)):
-        share = max(mass, CAR_MASS) / (mass + CAR_MASS)
-        assert greater_delta_v(7.0, kind) == pytest.approx(7.0 * share)
+    car = measures.CAR_MASS
+    for kind, mass in (("pedestrian", 78.0), ("child", 23.0), ("cyclist", 95.0), ("car", car), ("van", 2500.0)):
+        share = max(mass, car) / (mass + car)
+        assert measures.greater_delta_v(7.0, kind) == pytest.approx(7.0 * share)
     for kind in ROAD_USERS.own:
-        assert 0.5 <= greater_delta_v(1.0, kind) < 1.0
-    assert math.isnan(greater_delta_v(7.0, "hovercraft"))
+        assert 0.5 <= measures.greater_delta_v(1.0, kind) < 1.0
+    assert math.isnan(measures.greater_delta_v(7.0, "hovercraft"))
 
 
 CROSSING = load_scenario("crossing")

@@ -12,23 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
+import graph_support
 import pytest
 from common import PATIENCE, new_domain, wait_until
 from graph_nodes import CONTROLLER, EVALUATOR, NODES, start_node, wait_for_end
-from graph_support import (
-    HERE,
-    Finished,
-    Program,
-    Skd,
-    assert_all_gone,
-    assert_same_log,
-    assert_same_results,
-    of_node,
-    pids_with,
-    skd_command,
-    skd_here,
-    whole_graph,
-)
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.bags.read import read_bags
@@ -83,7 +70,7 @@ def test_each_node_may_be_the_last(context, tmp_path, plan, expected):
         jobs = [pool.submit(run_order, context, tmp_path / str(i), plan, order) for i, order in enumerate(orders)]
         for order, job in zip(orders, jobs, strict=True):
             try:
-                assert_same_log(job.result(), expected)
+                graph_support.assert_same_log(job.result(), expected)
             except AssertionError as error:
                 raise AssertionError(f"order {order}: {error}") from error
 
@@ -104,11 +91,11 @@ def kill(pid: int, number: int) -> None:
 
 
 def test_restarted_between_episodes(tmp_path: Path, episode: EpisodeSpec, expected: EpisodeLog) -> None:
-    with whole_graph(tmp_path, GraphOptions(nodes="separate")) as (evaluator, token):
-        assert_same_log(evaluator.run_episode(episode), expected)
+    with graph_support.whole_graph(tmp_path, GraphOptions(nodes="separate")) as (evaluator, token):
+        graph_support.assert_same_log(evaluator.run_episode(episode), expected)
         for node in ("car_controller", "adversary", "vehicle_simulator"):
-            kill(of_node(token, node), signal.SIGKILL)
-        assert_same_log(evaluator.run_episode(episode), expected)
+            kill(graph_support.of_node(token, node), signal.SIGKILL)
+        graph_support.assert_same_log(evaluator.run_episode(episode), expected)
 
 
 def test_somebody_elses_controller_comes_and_goes(context, tmp_path, episode, expected):
@@ -121,8 +108,8 @@ def test_somebody_elses_controller_comes_and_goes(context, tmp_path, episode, ex
 
     options = GraphOptions(nodes="separate", startup_timeout=3.0)
     try:
-        with whole_graph(tmp_path, options, controller="external", domain=domain) as (evaluator, token):
-            wait_until(lambda: len(pids_with(token)) >= 2, "the other nodes")
+        with graph_support.whole_graph(tmp_path, options, controller="external", domain=domain) as (evaluator, token):
+            wait_until(lambda: len(graph_support.pids_with(token)) >= 2, "the other nodes")
             log = evaluator.run_episode(episode)
             assert log.outcome == Outcome.ABORTED
             assert "car controller" in log.reason
@@ -134,7 +121,7 @@ def test_somebody_elses_controller_comes_and_goes(context, tmp_path, episode, ex
                 return None if late else log
 
             new_controller()
-            assert_same_log(wait_until(run, "the new controller"), expected)
+            graph_support.assert_same_log(wait_until(run, "the new controller"), expected)
     finally:
         codes = end(controllers)
     assert codes == [0]
@@ -148,11 +135,11 @@ MISBEHAVIOUR = {
 
 
 @pytest.fixture(scope="module")
-def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str, tuple[Path, Finished]]:
+def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str, tuple[Path, graph_support.Finished]]:
     """A campaign with each of them, all at once."""
     folder = tmp_path_factory.mktemp("misbehaviour")
     programs = {
-        controller: Skd(
+        controller: graph_support.Skd(
             *("assess", "--graph", "--record", "--adversary-model", "generic"),
             *("--margin-limit", 0, "--behaviour", "none"),
             *("--controller", f"misbehaving:{controller}", "-p", f"startup_timeout:={PATIENCE}"),
@@ -160,7 +147,7 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
             *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
             *("--simulations", 100, "--out", folder / controller),
             environment={
-                "PYTHONPATH": str(HERE / "controllers"),
+                "PYTHONPATH": str(graph_support.HERE / "controllers"),
                 "SKD_TEST_MARKER": str(folder / f"{controller}-marker"),
             },
         )
@@ -191,39 +178,39 @@ def test_misbehaviour_during_an_episode(misbehaved, tmp_path, capsys, controller
     for who, said_of in words.items():
         assert any(said_of in line for line in finished.lines) == (controller == who)
     assert len(logs[0].adversary) == 4  # up to the tick at which it happened
-    again = skd_here(capsys, "replay", out / "bags", "--out", tmp_path / "again")
+    again = graph_support.skd_here(capsys, "replay", out / "bags", "--out", tmp_path / "again")
     assert again.code == finished.code
-    assert_same_results(tmp_path / "again", out)
+    graph_support.assert_same_results(tmp_path / "again", out)
     warnings = json.loads((tmp_path / "again" / "assessment.json").read_text())["warnings"]
     assert f"1 episode counts for nothing, aborted (1 {kind})" in warnings
 
 
 @pytest.fixture
-def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
+def endless(tmp_path: Path, safe: Path) -> Iterator[graph_support.Program]:
     """A campaign that takes long, with a controller whose command starts processes of its own, one deaf to signals."""
     node = f"{shlex.quote(sys.executable)} -m skd_sim.ros.controller_node --ros-args -p controller:=misbehaving:Slow"
     deaf = tmp_path / "deaf.sh"
     deaf.write_text("trap '' HUP INT TERM\nwhile :; do sleep 1; done\n")
-    program = Program(
-        skd_command(
+    program = graph_support.Program(
+        graph_support.skd_command(
             *("assess", "--graph", "--record", "--adversary-model", "generic", "--controller", "external"),
             *("--controller-command", f"sh -c '{node} & sh {deaf} & wait'"),
             *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
         ),
-        {"PYTHONPATH": str(HERE / "controllers")},
+        {"PYTHONPATH": str(graph_support.HERE / "controllers")},
     )
-    wait_until(lambda: len(pids_with(program.token)) >= 5, "all processes")
+    wait_until(lambda: len(graph_support.pids_with(program.token)) >= 5, "all processes")
     time.sleep(1.0)
     yield program
     if program.popen.poll() is None:
         program.popen.kill()
-    assert_all_gone(program.token)
+    graph_support.assert_all_gone(program.token)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, number: int) -> None:
+def test_ending_the_command_ends_everything(endless: graph_support.Program, tmp_path: Path, number: int) -> None:
     assert endless.popen.poll() is None
-    before = set(pids_with(endless.token))
+    before = set(graph_support.pids_with(endless.token))
     assert len(before) >= 5
     endless.popen.send_signal(number)
     finished = endless.finish()

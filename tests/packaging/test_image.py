@@ -28,14 +28,7 @@ import yaml
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, ROOT, SOURCE, check_command, tracked
 from skd_evaluator.bags.read import read_bags
-from skd_sim.ros_environment.installation import (
-    cmake_prefix,
-    ensure_ros,
-    environment_digest,
-    is_sourced,
-    locked,
-    node_variables,
-)
+from skd_sim.ros_environment import installation
 
 BIN = Path(sys.executable).parent
 _PYTHON = """#!/bin/bash
@@ -126,7 +119,7 @@ class Image:
     def local(self, text: str) -> str:
         """Return a text with the image's paths as they are here."""
         text = text.replace(HOME, str(self.folder)).replace(" /tmp/", f" {self.folder}/tmp/")
-        return text if is_sourced() else text.replace("/opt/ros/", f"{self.folder}/opt/ros/")
+        return text if installation.is_sourced() else text.replace("/opt/ros/", f"{self.folder}/opt/ros/")
 
 
 def signal_group(process: subprocess.Popen[str], number: int) -> None:
@@ -141,12 +134,12 @@ def image_folder(empty: Path) -> Iterator[Path]:
 
     It is named for all that decides how the messages are built. Where a ROS 2 is sourced, `empty` takes its place.
     """
-    if is_sourced():
+    if installation.is_sourced():
         yield empty
         return
-    folder = Path(sys.prefix, "image", environment_digest()[:16])
+    folder = Path(sys.prefix, "image", installation.environment_digest()[:16])
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder / ".lock", "building the image"):
+    with installation.locked(folder / ".lock", "building the image"):
         built = folder / "ros_ws" / "install" / "skd_msgs"
         kept = {"opt", "ros_ws"} if built.exists() else set()
         old = [one for one in folder.iterdir() if one.name not in {".lock", *kept}]
@@ -210,12 +203,12 @@ def _variables(folder: Path) -> dict[str, str]:
     )
     python.chmod(0o755)
     ours["SKD_PYTHON"] = str(python)
-    if is_sourced():
+    if installation.is_sourced():
         return {**ours, "PATH": os.pathsep.join(part for part in ours["PATH"].split(os.pathsep) if Path(part) != BIN)}
     prefix = folder / "opt" / "ros" / "jazzy"
     if not prefix.exists():
         prefix.mkdir(parents=True)
-        cmake_prefix(prefix)
+        installation.cmake_prefix(prefix)
         generators = prefix / "share/rosidl_default_generators/cmake/rosidl_default_generatorsConfig.cmake"
         generators.write_text(generators.read_text(encoding="utf-8") + _NO_CPP, encoding="utf-8")
     sourced = {
@@ -224,7 +217,7 @@ def _variables(folder: Path) -> dict[str, str]:
         "CMAKE_PREFIX_PATH": str(prefix),
         "CMAKE_GENERATOR": "Ninja",
         "VIRTUAL_ENV": sys.prefix,  # where CMake looks for Python
-        "LD_LIBRARY_PATH": node_variables({})["LD_LIBRARY_PATH"],
+        "LD_LIBRARY_PATH": installation.node_variables({})["LD_LIBRARY_PATH"],
     }
     lines = [f"export {name}={shlex.quote(text)}" for name, text in sourced.items()]
     (prefix / "setup.bash").write_text("\n".join([*lines, f'export PATH={shlex.quote(str(BIN))}:"$PATH"', ""]))
@@ -244,7 +237,7 @@ needs_compiler = pytest.mark.skipif(
 
 @pytest.fixture(scope="session")
 def image(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Image]:
-    ensure_ros()
+    installation.ensure_ros()
     with image_folder(tmp_path_factory.mktemp("image")) as folder:
         yield build_image(folder)
 
