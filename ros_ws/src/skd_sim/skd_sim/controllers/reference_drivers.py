@@ -79,7 +79,8 @@ class ReferenceDriver(ABC):
     control_period = PERIOD
     delay, release = DELAY, 0.0
     """Time (s) for which something is critical before the brake, and deceleration (m/s²) in it."""
-    jerk = JERK
+    jerk, braking = JERK, FULL_BRAKING
+    """Bound of the jerk (m/s³), and deceleration that the driver brakes with in the end (m/s²)."""
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Take road, footprint and speed from the scenario; no law draws anything."""
@@ -122,7 +123,7 @@ class ReferenceDriver(ABC):
 
     def demand(self, one: RelativeState) -> float:
         """Return the deceleration (m/s²) that the driver brakes with in the end."""
-        return FULL_BRAKING
+        return self.braking
 
     def _situations(self, car: CarState, scene: Scene) -> list[RelativeState]:
         """Return those of the road users that are ahead of the car's centre."""
@@ -172,18 +173,14 @@ class CarefulDriver(ReferenceDriver):
 class Reg157(ReferenceDriver):
     """R157's limit for cut-ins (5.2.5.2): who brakes no earlier than it has to, at 6 m/s² after 0.35 s."""
 
-    BRAKING = 6.0  # m/s²
+    braking = 6.0  # m/s²
     BESIDE = 0.5  # m from the car's path, where a road user has intruded (JRC)
     delay, jerk = 0.35, math.inf
 
     def is_critical(self, one: RelativeState) -> bool:
         """Tell whether it has intruded, and the time to collision is down to v/(2·6 m/s²) + 0.35 s."""
-        least = one.approach / (2.0 * self.BRAKING) + self.delay + PERIOD
+        least = one.approach / (2.0 * self.braking) + self.delay + PERIOD
         return one.aside <= self.BESIDE and one.time_to_collision <= least
-
-    def demand(self, one: RelativeState) -> float:
-        """Return 6 m/s²."""
-        return self.BRAKING
 
 
 class RssDriver(ReferenceDriver):
@@ -259,17 +256,11 @@ def _share(gap: float, safe: float, unsafe: float) -> float:
 class DistanceBrake(ReferenceDriver):
     """Brakes at once and fully when who is ahead is nearer than a distance."""
 
-    braking: float
-    """Full braking, m/s²."""
     delay, jerk = 0.0, math.inf
 
     def is_critical(self, one: RelativeState) -> bool:
         """Tell whether who is ahead is that near, and slower."""
         return one.enters and one.approach > 0.0 and one.gap <= self.distance(one.speed, max(0.0, one.lead))
-
-    def demand(self, one: RelativeState) -> float:
-        """Return full braking, m/s²."""
-        return self.braking
 
     @abstractmethod
     def distance(self, speed: float, lead: float) -> float:
@@ -322,17 +313,13 @@ class TimeToCollisionBrake(ReferenceDriver):
     """
 
     THRESHOLD = 1.0  # s
-    BRAKING = 8.0  # m/s²: standstill is commanded, and a dry road gives this
+    braking = 8.0  # m/s²: standstill is commanded, and a dry road gives this
     delay, jerk = 0.0, math.inf
 
     def is_critical(self, one: RelativeState) -> bool:
         """Tell whether range by range rate is below the threshold."""
         squared = one.gap**2 + max(0.0, one.aside + self._half_width) ** 2
         return one.gap > 0.0 and squared <= self.THRESHOLD * one.speed * one.gap
-
-    def demand(self, one: RelativeState) -> float:
-        """Return full braking, m/s²."""
-        return self.BRAKING
 
 
 class CollisionMonitor(ReferenceDriver):
