@@ -40,7 +40,6 @@ DASHES: Final = ((), (6, 2), (2, 2), (8, 2, 2, 2), (4, 1, 1, 1), (1, 2))
 SHAPES: Final = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 """Their markers, as Vega calls them."""
 
-_IN_TURN: Final = 3
 _ORDER: Final = ((213, 94, 0), (230, 159, 0), (86, 180, 233), (0, 114, 178))
 
 
@@ -64,8 +63,3 @@ def ordered(count: int) -> list[str]:
 def of_cars(count: int) -> list[str]:
     """Return the colour of each of several cars, in the order in which they were given: the same in every picture."""
     return list(SERIES[:count]) if count <= len(SERIES) else ordered(count)
-
-
-def in_turn(count: int) -> list[tuple[int, ...]]:
-    """Return line styles for things in an order: neighbours differ in style, others of one style in their places."""
-    return [DASHES[place % _IN_TURN] for place in range(count)]

@@ -446,15 +446,10 @@ class Assessment:
                 **{name: deviation[name] for name in ("deviation", "deviation_of_successes")},
                 "contact_rate": hits / runs if runs else None,
                 "collision_runs": runs,
-                "safe": not hit_too_often(hits, runs),
+                "safe": runs < _FEWEST_RUNS or hits <= HIT_SHARE * runs,
             }
             for skd, deviation, (hits, runs) in rows
         ]
-
-
-def hit_too_often(hits: float, runs: int) -> bool:
-    """Return whether this share of hits in runs along a φ says that φ is not safe with this car."""
-    return runs >= _FEWEST_RUNS and hits > HIT_SHARE * runs
 
 
 def in_order(objectives: Sequence[Objective]) -> tuple[Objective, ...]:

@@ -173,11 +173,6 @@ class Margins:
         return tuple(np.array([math.nan if hit is None else hit.impact_speed for hit in hits]) for hits in self.hits)
 
     @property
-    def impact_speeds(self) -> FloatArray:
-        """Speed of the car at the contact of each hit, m/s."""
-        return np.array([hit.impact_speed for hits in self.hits for hit in hits if hit is not None])
-
-    @property
     def beyond(self) -> int:
         """Trials without a hit within η_max, as far as was found."""
         return sum(hit is None for hits in self.hits for hit in hits)
@@ -189,7 +184,7 @@ class Margins:
     @property
     def impact_speed(self) -> dict[str, float] | None:
         """Mean and 90 % quantile of the impact speeds, m/s; None without a hit."""
-        return impact_figures(self.impact_speeds)
+        return impact_figures(np.array([hit.impact_speed for hits in self.hits for hit in hits if hit is not None]))
 
 
 SEARCHED_BY = {"whole episodes": 8, "episodes of held commands": 64}

@@ -171,7 +171,8 @@ def vulnerability_chart(cars: Sequence[ChartedCar]) -> Spec:
     y, low = (alt.Y(f"{name}:Q", title="can be hit (% of trials)").scale(domain=[0, 100]) for name in ("rate", "low"))
     stroke: Spec = {"symbolType": "stroke", "symbolSize": 600, "symbolOpacity": 1}
     colour = _colour(cars, **stroke)
-    dash = _by_car(alt.StrokeDash, cars, [list(one) for one in palette.in_turn(len(cars))], **stroke)
+    dashes = [list(palette.DASHES[place % 3]) for place in range(len(cars))]  # neighbours differ
+    dash = _by_car(alt.StrokeDash, cars, dashes, **stroke)
     steps = [row for one in cars for row in _steps(one.label, one.curve, end)]
     bands = [row for one in cars for row in _band(one, end)] if len(cars) <= _BANDS else []
     rates = [row for one in cars for row in _rates(one)]

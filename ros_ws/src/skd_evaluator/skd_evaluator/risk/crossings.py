@@ -57,11 +57,12 @@ class _Rows:
     def where(self, chosen: npt.NDArray[np.bool_], other: Self) -> Self:
         """Return the rows of `other` where `chosen`, else these."""
         both = zip(self._arrays(), other._arrays(), strict=True)
-        return type(self)(*(None if a is None or b is None else np.where(_like(chosen, a), b, a) for a, b in both))
-
-
-def _like(chosen: npt.NDArray[np.bool_], array: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    return chosen.reshape(-1, *(1,) * (array.ndim - 1))
+        return type(self)(
+            *(
+                None if a is None or b is None else np.where(chosen.reshape(-1, *(1,) * (a.ndim - 1)), b, a)
+                for a, b in both
+            )
+        )
 
 
 @dataclass(frozen=True, eq=False)

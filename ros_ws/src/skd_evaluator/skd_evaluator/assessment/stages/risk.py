@@ -17,7 +17,7 @@ from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.options.car_and_adversary import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Role, generator
-from skd_sim.world.state import FloatArray, IntArray
+from skd_sim.world.state import FloatArray
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.context import Context, Progress, RiskRequest, Runner, stage
@@ -97,16 +97,12 @@ def crude_crossings(crossing_plan: CrossingPlan, runs: int) -> Crossings:
     return Crossings(phi, walker, np.empty((runs, 0)), draw)
 
 
-def numbers_of(phi: IntArray, draw: IntArray) -> list[int]:
-    """Return the ids of the episodes that crossings are."""
-    return [episode_id(EpisodeGroup.RISK, one, other) for one, other in zip(phi.tolist(), draw.tolist(), strict=True)]
-
-
 def draws_of(crossing_plan: CrossingPlan, crossings: Crossings) -> FloatArray:
     """Return what the basic car draws in the episodes that crossings are, uniform in [0, 1)."""
     seed, count = crossing_plan.plan.seed, 2 * crossing_plan.ticks
     found = np.empty((len(crossings), 1 + count))
-    for row, number in enumerate(numbers_of(crossings.phi, crossings.draw)):
+    for row, (phi, draw) in enumerate(zip(crossings.phi.tolist(), crossings.draw.tolist(), strict=True)):
+        number = episode_id(EpisodeGroup.RISK, phi, draw)
         found[row, 0] = generator(seed, number, Role.START).random()
         found[row, 1:] = generator(seed, number, Role.CAR).random(count)
     return found

@@ -235,12 +235,8 @@ def _with_test(cell: GridCell, log: EpisodeLog, plan: Plan, runner: Workers) -> 
     assert protocol is not None
     why_none = "" if not cell.criterion or plan.car.is_own else _why_no_test(plan, cell.speed, runner)
     tested = StaticTest.of(protocol.impact_places[0], log)
-    return with_test(cell, tested, KMH * protocol.speed, why_none, _peak_deceleration(log))
-
-
-def _peak_deceleration(log: EpisodeLog) -> float:
-    """Return the greatest deceleration over a time step, m/s²."""
-    return float(-np.diff(log.car[:, 3]).min(initial=0.0)) / log.episode.scenario.time_step
+    peak = float(-np.diff(log.car[:, 3]).min(initial=0.0)) / log.episode.scenario.time_step
+    return with_test(cell, tested, KMH * protocol.speed, why_none, peak)
 
 
 def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
