@@ -27,7 +27,7 @@ from skd_sim.world.state import FloatArray
 
 from skd_evaluator.metrics.clustered import Clustered, Prior, student_quantile
 from skd_evaluator.metrics.entry import Entry
-from skd_evaluator.metrics.statistics import Interval, checked_confidence
+from skd_evaluator.metrics.statistics import Interval
 
 MOST = 10_000
 """Greatest number of φ that is advised."""
@@ -92,10 +92,8 @@ def mean_of_root(freedom: float) -> float:
     return math.sqrt(2.0 / freedom) * math.exp(math.lgamma((freedom + 1.0) / 2.0) - math.lgamma(freedom / 2.0))
 
 
-def power(
-    difference: float, between: float, within: float, safe: int, trials: int, *, paired: bool, level: float = 0.05
-) -> float:
-    """Return the chance that a difference of two cars is found, by noncentral t.
+def power(difference: float, between: float, within: float, safe: int, trials: int, *, paired: bool) -> float:
+    """Return the chance that a difference of two cars is found at the 5 % level, by noncentral t.
 
     Args:
         difference: difference of the means, in the unit of the values.
@@ -104,14 +102,13 @@ def power(
         safe: number of φ of each car, ≥ 2.
         trials: number of trials on each φ.
         paired: whether both cars face the same φ.
-        level: how often a difference may be found where there is none.
     """
     samples = 1 if paired else 2
     error = math.sqrt(samples * (between + within / trials) / safe)
     if error == 0.0:
-        return 1.0 if difference else level
+        return 1.0 if difference else 0.05
     freedom = samples * (safe - 1.0)
-    bound, shift = student_quantile(freedom, 1.0 - level), abs(difference) / error
+    bound, shift = student_quantile(freedom), abs(difference) / error
     # Over the quantiles of the estimated error, for scipy's noncentral t is undefined where the shift is large.
     spread = bound * np.sqrt(scipy.special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _NODES) * 2.0 / freedom)
     return float(0.5 * _WEIGHTS @ (scipy.special.ndtr(shift - spread) + scipy.special.ndtr(-shift - spread)))
@@ -172,23 +169,21 @@ _STEPS = 48  # of the bisection: to 1e-13
 
 
 @functools.cache
-def nominal_confidence(looks: int, confidence: float = 0.95) -> float:
-    """Return the confidence that each of several looks needs for all of them together to have the one stated.
+def nominal_confidence(looks: int) -> float:
+    """Return the confidence that each of several looks needs for all of them together to have 95 %.
 
     Args:
         looks: greatest number of looks, after equal amounts of data, from 1 to `MOST_LOOKS`.
-        confidence: confidence of all looks together, in (0, 1).
 
     Raises:
-        ValueError: no look, or more than `MOST_LOOKS`, or a confidence outside (0, 1).
+        ValueError: no look, or more than `MOST_LOOKS`.
     """
-    checked_confidence(confidence)
     if not 1 <= looks <= MOST_LOOKS:
         raise ValueError(f"there must be at least one look, and at most {MOST_LOOKS}, got {looks}")
     low, high = 0.0, 10.0
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _held(middle, looks) < confidence else (low, middle)
+        low, high = (middle, high) if _held(middle, looks) < 0.95 else (low, middle)
     return float(scipy.special.ndtr(high) - scipy.special.ndtr(-high))
 
 
