@@ -38,7 +38,7 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     assert first.startswith("skd: an episode was aborted, the first one so: not started: the car controller")
     assert "3 episodes in a row failed, the last one so: not started: the car controller" in last
     assert "no node publishes on /ego/acceleration_command" in last
-    assert last.rpartition("; log: ")[0].endswith("; aborted were 3 not started")
+    assert last.rpartition("; log: ")[0].endswith("; aborted episodes: 3 not started")
     logs = tmp_path / "out" / "logs"
     for line in (first, last):  # nobody else was started, and so nobody has printed
         assert Path(line.rpartition("log: ")[2].partition("; ")[0]) == logs

@@ -100,7 +100,7 @@ def running_graph(setting: processes.GraphSetting, watched: Watched | None = Non
             yield evaluator
         except AssessmentError as error:
             reasons = evaluator.failures.reasons
-            counts = f"; aborted were {counts_in_words(reasons)}" if reasons else ""
+            counts = f"; aborted episodes: {counts_in_words(reasons)}" if reasons else ""
             log = processes.log_of(setting.log_folder, str(error))
             error.args = (f"{error}{counts}; log: {log}",)  # its kind stays
             raise
