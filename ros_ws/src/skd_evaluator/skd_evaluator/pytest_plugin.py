@@ -117,10 +117,9 @@ class Assessed:
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name not in self.figures:
-            from skd_sim.inputs.files import did_you_mean
+            from skd_evaluator.assessment.files.assessment_json import near_figure
 
-            near = did_you_mean(name, self.figures) or "; its `figures` has them all"
-            raise AttributeError(f"an assessment has no figure {name!r}{near}")
+            raise AttributeError(f"an assessment has no figure {name!r}{near_figure(name)}")
         if self.figures[name] is None and (why := self.figures.get(_NOTES.get(name, ""))):
             raise AssessmentError(f"{name} is not known: {why}")
         return _guarded(self.figures, self.figures[name], (name,))
@@ -183,7 +182,7 @@ class Assessor:
         from skd_evaluator.report.warnings import undefined
 
         if not isinstance(car, (str, type)) or "<locals>" in getattr(car, "__qualname__", ""):
-            raise UsageError(f"skd.assess takes a class of a module, or its name, got {car!r}")
+            raise UsageError(f"skd.assess takes a class of a module's top level, or its name, got {car!r}")
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"
         if key not in self._kept:

@@ -293,15 +293,17 @@ def check_figure(name: str) -> None:
     Raises:
         UsageError: it is so; the line says which one is near.
     """
-    words = name.split(".")
-    known = scalar_figures()
-    if any(_fits(words, one.split(".")) for one in known):
-        return
+    if not any(_fits(name.split("."), one.split(".")) for one in scalar_figures()):
+        raise UsageError(f"assessment.json has no figure {name!r} that is one number{near_figure(name)}")
+
+
+def near_figure(name: str) -> str:
+    """Return `; did you mean …?` with the figures that tables call so, or one of nearly this name; else the first."""
+    words, known = name.split("."), scalar_figures()
     rows = [row for key, row in AT_THE_TOP.items() if key in known]
     called = " or ".join(row.key for row in rows if name.lower().replace("_", " ") in row.label.lower())
     near = f"; did you mean {called}?" if called else did_you_mean(name, [_filled(one, words) for one in known])
-    near = near or f"; the first are {', '.join(row.key for row in rows if row.first)}"
-    raise UsageError(f"assessment.json has no figure {name!r} that is one number{near}")
+    return near or f"; the first are {', '.join(row.key for row in rows if row.first)}"
 
 
 def _fits(words: list[str], pattern: list[str]) -> bool:
