@@ -13,7 +13,7 @@ from typing import Any
 from skd_adversary.car_models.car_model_file import car_model_for_scenario, file_of
 from skd_adversary.safe_trajectories.sources import count_safe_trajectories, is_citr
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import real_path
+from skd_sim.inputs.files import from_here, real_path
 from skd_sim.options.car_and_adversary import (
     AdversaryModel,
     CarUnderTest,
@@ -195,7 +195,7 @@ def refuse_to_replace(out: Path, paths: Iterable[Path], option: str = "--out") -
     for path in (one for one in paths if lies_in(one, out)):
         if out.is_file():
             raise UsageError(f"{option} {out}: is read by this command; give another file")
-        raise UsageError(f"{option} {out}: holds {path}, which this command reads; give another folder")
+        raise UsageError(f"{option} {out}: holds {from_here(str(path))}, which this command reads; give another folder")
 
 
 def lies_in(path: Path, folder: Path) -> bool:

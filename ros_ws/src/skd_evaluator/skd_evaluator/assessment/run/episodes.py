@@ -61,7 +61,7 @@ from skd_sim.world.sensors import make_laser
 from skd_sim.world.state import AdversaryState, CarState, FloatArray, IntArray, Scene
 from skd_sim.world.world import first_car_state
 
-from skd_evaluator.assessment.plan import EpisodeGroup, follows_other_trajectory, split_episode_id
+from skd_evaluator.assessment.plan import EpisodeGroup, split_episode_id
 from skd_evaluator.assessment.plausibility import examine
 
 
@@ -246,8 +246,9 @@ def _located(place: Callable[[], tuple[EpisodeSpec, int, int]]) -> Iterator[None
     except AssessmentError as error:
         episode, tick, period = place()
         group, phi, trial = split_episode_id(episode.episode_id)
-        path, scenario, stage = episode.safe_trajectory, episode.scenario, group.name.lower()
-        stage = "margin" if follows_other_trajectory(episode) and group == EpisodeGroup.KAMIKAZE else stage
+        path, scenario = episode.safe_trajectory, episode.scenario
+        of_margin = group == EpisodeGroup.KAMIKAZE and episode.mode == Mode.REPLAY
+        stage = "margin" if of_margin else "test" if phi == 0xFFFF else group.name.lower()
         name = path.name if path and (group == EpisodeGroup.PRICE or phi == 0xFFFF) else f"φ {phi}"
         name += f", trial {trial}" if trial < 1 << 31 else ""  # others are numbers within SKD
         time = scenario.time_step * (tick + period / scenario.control_periods)
