@@ -93,15 +93,8 @@ def test_a_step_does_what_donors_did(name: str, learned: car_model_file.FittedCa
     scenario = load_scenario(name)
     path = np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)])
     prediction = cars.LearnedCar(learned, cars.unknown_car())
-    model = compose(
-        scenario,
-        objective_named(Objective.DEVIATION),
-        prediction,
-        start=(-3.0, 0.0),
-        gap=10.0,
-        path=path,
-        road_user=road_user_named(scenario.adversary.kind),
-    )
+    objective, user = objective_named(Objective.DEVIATION), road_user_named(scenario.adversary.kind)
+    model = compose(scenario, objective, prediction, start=(-3.0, 0.0), gap=10.0, path=path, road_user=user)
     assert prediction.kernels.own_dim == cars.FOREST_STATE_DIM - STATE_DIM
     p, rng = model.parameters, np.random.default_rng(5)
     state, after = np.zeros(model.state_dim), np.empty(model.state_dim)

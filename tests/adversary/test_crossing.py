@@ -85,12 +85,8 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
     choose = np.random.default_rng(1)
     collisions = 0
     for episode in range(200):
-        world = World(
-            scenario,
-            gap=scenario.car.start_gap,
-            start_rng=np.random.default_rng([2, episode]),
-            car_rng=np.random.default_rng(0),
-        )
+        start, car = np.random.default_rng([2, episode]), np.random.default_rng(0)
+        world = World(scenario, gap=scenario.car.start_gap, start_rng=start, car_rng=car)
         controller = BasicController(multiplier)
         controller.reset(scenario, np.random.default_rng(0))
         state, after = np.empty(model.state_dim), np.empty(model.state_dim)

@@ -73,13 +73,8 @@ class Call:
 
 def documents() -> list[Path]:
     """Every document that a reader may take commands from."""
-    return [
-        ROOT / "README.md",
-        ROOT / "CONTRIBUTING.md",
-        ROOT / "requirements" / "README.md",
-        *sorted((ROOT / "docs").rglob("*.md")),
-        *sorted((ROOT / "examples").rglob("README.md")),
-    ]
+    first = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "requirements/README.md")]
+    return [*first, *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "examples").rglob("README.md"))]
 
 
 def blocks(document: Path) -> Iterator[Block]:
@@ -113,15 +108,9 @@ def calls(shell: Sequence[Block], folder: Path) -> dict[Block, list[Call]]:
     said: dict[Block, list[Call]] = {}
     for block in shell:
         log.write_bytes(b"")
-        done = subprocess.run(
-            ["bash", "-eu", "-o", "pipefail", "-c", block.text],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE,
-            check=False,
-        )
+        command = ["bash", "-eu", "-o", "pipefail", "-c", block.text]
+        how = {"capture_output": True, "text": True, "timeout": PATIENCE}
+        done = subprocess.run(command, cwd=folder, env=environment, check=False, **how)
         assert (done.returncode, done.stderr) == (0, ""), f"{block}: {done.stderr}"
         said[block] = []
         for entry in log.read_text(encoding="utf-8").split("\036")[:-1]:

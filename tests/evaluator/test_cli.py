@@ -149,9 +149,8 @@ def test_interrupted(here, name, number, to_all, processes):
 def test_an_interrupted_assessment_is_resumed_and_gives_the_same(here):
     """What has run is kept, and not run again; to begin anew without a word, or with another seed, is refused."""
     counting = "class Counts(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
-    (here / "my_cars.py").write_text(
-        CONTROLLERS + counting + "        open('/dev/shm/' + os.environ['N'], 'a').write('x')\n"
-    )
+    counting += "        open('/dev/shm/' + os.environ['N'], 'a').write('x')\n"
+    (here / "my_cars.py").write_text(CONTROLLERS + counting)
     counted = Path("/dev/shm") / f"skd-{here.name}-{os.getpid()}"
     command = ["assess", *SMALL, "--kamikaze-count", "300", "--safe", "good.csv", "--adversary-model", "generic"]
     command += ["--controller", "./my_cars.py:Counts", "--out", "out", "--margin-limit", "0"]

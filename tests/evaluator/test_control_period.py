@@ -22,14 +22,8 @@ def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> Episod
     """An episode against the basic car that decides every 0.1 s, or against CAL."""
     base = kamikaze_episode(POINTS, 60, 1.0, number=number, simulations=60)
     plan = Plan(OFTEN if name == "basic" else CROSSING, controller=name)
-    return replace(
-        base,
-        scenario=plan.scenario,
-        controller=name,
-        mode=mode,
-        objective=Objective.DEVIATION,
-        adversary_model=plan.resolved_adversary_model,
-    )
+    car = {"controller": name, "adversary_model": plan.resolved_adversary_model}
+    return replace(base, scenario=plan.scenario, mode=mode, objective=Objective.DEVIATION, **car)
 
 
 class Watching:

@@ -127,11 +127,8 @@ def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
     one_line(skd_here("drive", "--controller", "nope"), 2, "unknown controller 'nope'")
     done = skd_here("drive", "--ticks", "4", "-p", "rate_factor:=100")
     assert done.returncode == 0
-    assert [line.partition(",")[0] for line in done.stdout.splitlines()] == [
-        "time 0.0 s",
-        "time 1.2 s",
-        "no collision until the time limit; 4 ticks",
-    ]
+    said = [line.partition(",")[0] for line in done.stdout.splitlines()]
+    assert said == ["time 0.0 s", "time 1.2 s", "no collision until the time limit; 4 ticks"]
     one_line(skd_here("drive", "--safe", "good.csv", "--safe-number", "1"), 2, "--safe-number 1", "1 safe")
     one_line(skd_here("drive", "--ticks", "1", "--safe-number", "1"), 2, "--safe-number 1", "add --safe")
     one_line(skd_here("drive", "--ticks", "1", "--controller", "external"), 2, "add --graph")

@@ -85,9 +85,8 @@ def test_the_margin_found_from_the_east_is_the_exact_one_from_the_west(number: i
 
 def test_a_region_ends_the_episode() -> None:
     """Somebody who walks along the lane, and has arrived 6 m further."""
-    along = changed(
-        adversary={"start_x": 1.6, "destination_x": None}, ending={"arrived": {"ahead_of": 6.0}, "missed": {}}
-    )
+    ending = {"arrived": {"ahead_of": 6.0}, "missed": {}}
+    along = changed(adversary={"start_x": 1.6, "destination_x": None}, ending=ending)
     end = along.end
     assert not end.arrived(0.0, 6.0)
     assert end.arrived(0.0, 6.01)
@@ -180,13 +179,8 @@ def assert_free(scenario: Scenario, points: np.ndarray, radius: float) -> None:
 
 def episodes(scenario: Scenario, count: int, **further: object) -> list[EpisodeSpec]:
     phi = Trajectory(np.array([(-3.5 + 0.75 * k, 0.0) for k in range(9)]), scenario.time_step, "straight")
-    return [
-        replace(
-            EpisodeSpec(scenario, Mode.KAMIKAZE, 3, episode_id(EpisodeGroup.KAMIKAZE, 0, number), safe_trajectory=phi),
-            **further,
-        )
-        for number in range(count)
-    ]
+    numbers = [episode_id(EpisodeGroup.KAMIKAZE, 0, trial) for trial in range(count)]
+    return [replace(EpisodeSpec(scenario, Mode.KAMIKAZE, 3, number, phi), **further) for number in numbers]
 
 
 @pytest.mark.parametrize("objective", list(Objective))

@@ -74,14 +74,10 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
 def test_a_trend_follows_each_car_by_date(sweep):
     """A car that gets better by 0.1 m with each of four revisions, and another one."""
     stored = read_result(sweep / "synthetic" / "C_1")
-    results = [
-        replace(
-            stored,
-            folder=Path(f"{number}"),
-            figures={**stored.figures, "margin": 0.1 * number, "provenance": origin(stored.figures, number)},
-        )
-        for number in reversed(range(4))
-    ]
+    results = []
+    for number in reversed(range(4)):
+        figures = {**stored.figures, "margin": 0.1 * number, "provenance": origin(stored.figures, number)}
+        results.append(replace(stored, folder=Path(f"{number}"), figures=figures))
     other = replace(stored, folder=Path("other"), figures={**stored.figures, "car": "my_cars:Careful"})
     found, lines = trends_of([*results, other], "margin")
     assert [one["car"] for one in found] == ["basic, C = 1", "my_cars:Careful"]

@@ -47,13 +47,9 @@ def kmh(text: str) -> float:
 
 
 def key_of(one) -> tuple[str, float, float, float | None]:
-    place = one.attributes.get("Impact location")
-    return (
-        one.attributes.get("Turn", ""),
-        kmh(one.attributes["VUT speed"]),
-        kmh(one.attributes["Target speed"]),
-        None if place is None else float(place.removesuffix("%")),
-    )
+    said = one.attributes
+    place = float(said["Impact location"].removesuffix("%")) if "Impact location" in said else None
+    return said.get("Turn", ""), kmh(said["VUT speed"]), kmh(said["Target speed"]), place
 
 
 def ours_in(name: str) -> dict[tuple[str, float, float, float | None], matrices.MatrixPoint]:

@@ -55,12 +55,8 @@ def test_cars_that_do_not_get_past_stand_beside_the_line(sweep):
 def test_many_cars_are_named_at_their_points(sweep):
     ((_, cars),) = priced_cars(read_subjects([sweep]))
     many = coloured([replace(cars[0], label=f"car {number}") for number in range(14)])
-    names = [
-        row["car"]
-        for layer in price_chart(many)["layer"]
-        if layer["mark"]["type"] == "text"
-        for row in layer["data"]["values"]
-    ]
+    labels = [layer for layer in price_chart(many)["layer"] if layer["mark"]["type"] == "text"]
+    names = [row["car"] for layer in labels for row in layer["data"]["values"]]
     assert sorted(names) == sorted(one.label for one in many)
 
 

@@ -22,11 +22,8 @@ def old_results(folder: Path) -> None:
 
 
 def content(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): path.read_text()
-        for path in folder.rglob("*")
-        if path.is_file() and path.name != MANIFEST
-    }
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST]
+    return {str(path.relative_to(folder)): path.read_text() for path in files}
 
 
 def test_new_folder_appears_with_its_parents(tmp_path):

@@ -119,15 +119,8 @@ def test_subset_simulation_agrees_with_crude_runs_of_a_car(safe):
     here = crossing_plan(safe, replace(PLAN, multiplier=1.35))
     car, rng = KnownCar(here), np.random.default_rng(2)
     count = 40_000
-    crude = car.run(
-        Crossings(
-            np.arange(count) % 3,
-            rng.standard_normal((count, here.walker_normals)),
-            rng.standard_normal((count, car.car_normals)),
-            np.zeros(count, np.int64),
-        ),
-        2.0,
-    )
+    normals = [rng.standard_normal((count, numbers)) for numbers in (here.walker_normals, car.car_normals)]
+    crude = car.run(Crossings(np.arange(count) % 3, *normals, np.zeros(count, np.int64)), 2.0)
     hits = int((crude.touch == Touch.FRONT).sum())
     assert hits > 50
     found = simulated(here, car, 2.0, SubsetEffort())

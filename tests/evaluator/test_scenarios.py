@@ -33,12 +33,8 @@ def across(scenario: Scenario, speed: float = 2.5) -> Trajectory:
 def replays(scenario: Scenario, count: int, *, controller: str = "basic", C: float = 1.0) -> list[EpisodeLog]:
     phi = across(scenario)
     numbers = [episode_id(EpisodeGroup.NOMINAL, 0, trial) for trial in range(count)]
-    return [
-        run_episode(
-            EpisodeSpec(scenario, Mode.REPLAY, 0, number, controller=controller, multiplier=C, safe_trajectory=phi)
-        )
-        for number in numbers
-    ]
+    car = {"controller": controller, "multiplier": C}
+    return [run_episode(EpisodeSpec(scenario, Mode.REPLAY, 0, number, phi, **car)) for number in numbers]
 
 
 @pytest.mark.parametrize("scenario", [RIGHT_TURN, WITH_BOX, TURN_WITH_BOX], ids=["turn", "box", "turn with a box"])

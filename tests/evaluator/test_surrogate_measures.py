@@ -1,6 +1,7 @@
 """Surrogate safety measures against closed forms, another library's geometry, and dense sampling."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,16 +110,10 @@ def test_closed_forms_of_following():
 
 def test_somebody_who_will_have_passed_needs_no_braking():
     scene = following(10.0, 8.0, 0.0)
-    aside = Interaction(
-        scene.times, scene.car, scene.other + np.array([0.0, 2.0]), np.array([[0.0, 3.0]]), *_rest(scene)
-    )
+    aside = replace(scene, other=scene.other + np.array([0.0, 2.0]), velocity=np.array([[0.0, 3.0]]))
     assert np.isinf(measures.collision_times(aside)).all()
     assert measures.greatest_required_deceleration(aside) == 0.0
     assert math.isinf(measures.headways(aside)[0])
-
-
-def _rest(scene: Interaction) -> tuple[np.ndarray, tuple[float, float, float], tuple[float, float, float]]:
-    return scene.turned, scene.footprint, scene.shape
 
 
 def test_an_episode_is_a_scene_on_its_lane():
@@ -166,11 +161,9 @@ def test_post_encroachment_times_are_those_of_the_four_moments():
 
 def test_a_car_that_stops_before_has_no_post_encroachment_time():
     scene, _ = crossing_at(np.random.default_rng(7))
-    stands = Interaction(scene.times, np.tile(scene.car[:1], (7, 1)), scene.other, scene.velocity, *_rest(scene))
+    stands = replace(scene, car=np.tile(scene.car[:1], (7, 1)))
     assert math.isnan(encroachment(stands))
-    turns = Interaction(
-        scene.times, scene.car + np.linspace(0, 1, 7)[:, None], scene.other, scene.velocity, *_rest(scene)
-    )
+    turns = replace(scene, car=scene.car + np.linspace(0, 1, 7)[:, None])
     assert math.isnan(encroachment(turns))
 
 

@@ -63,9 +63,8 @@ def test_a_result_has_a_manifest_of_all_its_files(sweep: Path) -> None:
         lines = (folder / MANIFEST).read_text().splitlines()
         said = {line[66:]: line[:64] for line in lines}
         files = [path for path in folder.rglob("*") if path.is_file() and path != folder / MANIFEST]
-        assert said == {
-            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
-        }
+        digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+        assert said == {path.relative_to(folder).as_posix(): digest for path, digest in digests.items()}
 
 
 def test_verify_says_which_files_changed(result: Path, skd_here) -> None:

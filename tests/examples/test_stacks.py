@@ -45,12 +45,8 @@ def planner(launch: Path) -> dict[str, str]:
 def commands(launch: Path) -> list[list[str]]:
     """The commands, in the tutorial and beside a launch file, that assess what it starts."""
     texts = [path.read_text(encoding="utf-8") for path in (TUTORIAL, launch.parent / "README.md")]
-    lines = [
-        line
-        for text in texts
-        for block in re.findall(r"```bash\n(.*?)```", text, re.DOTALL)
-        for line in block.splitlines()
-    ]
+    blocks = [block for text in texts for block in re.findall(r"```bash\n(.*?)```", text, re.DOTALL)]
+    lines = [line for block in blocks for line in block.splitlines()]
     return [shlex.split(line) for line in lines if "scripts/skd assess" in line and str(launch.name) in line]
 
 

@@ -128,11 +128,8 @@ def test_lane_positions_are_places_on_the_opendrive(tmp_path: Path):
     line = "".join(f'<Vertex time="{9 * n}"><Position>{one}</Position></Vertex>' for n, one in enumerate(at))
     found = track(xosc(tmp_path, follows(f"<Polyline>{line}</Polyline>")))
     half = math.sqrt(0.5)
-    assert found.places == pytest.approx(
-        np.array(
-            [[30.0, 19.5], [30.0, 17.5], [60.0 + 48.0 * half, 70.0 - 48.0 * half], [0.0, 0.0], [5.0, 6.0], [4.0, 11.0]]
-        )
-    )
+    places = [[30.0, 19.5], [30.0, 17.5], [60.0 + 48.0 * half, 70.0 - 48.0 * half], [0.0, 0.0], [5.0, 6.0], [4.0, 11.0]]
+    assert found.places == pytest.approx(np.array(places))
 
 
 @pytest.mark.parametrize(

@@ -132,19 +132,13 @@ def test_the_lanes_of_the_road_are_those_of_the_scenario(name: str, tmp_path: Pa
     roads = root.findall("road")
     elsewhere = [number for number, lane in scenario.road.every_lane.items() if not lane.beside]
     assert len(roads) == 1 + len(elsewhere)
-    for road, numbers in zip(
-        roads,
-        [[n for n in sorted(scenario.road.every_lane) if n not in elsewhere], *([n] for n in elsewhere)],
-        strict=True,
-    ):
+    beside = [number for number in sorted(scenario.road.every_lane) if number not in elsewhere]
+    for road, numbers in zip(roads, [beside, *([number] for number in elsewhere)], strict=True):
         low, _ = stretch(scenario, [one], numbers[0])
         line = points_of(road)
         (offset,) = (float(found.get("a", "nan")) for found in road.iter("laneOffset"))
-        right = {
-            int(lane.get("id", "0")): float(lane[0].get("a", "nan"))
-            for lane in road.iter("lane")
-            if lane.get("id") != "0"
-        }
+        lanes = [lane for lane in road.iter("lane") if lane.get("id") != "0"]
+        right = {int(lane.get("id", "0")): float(lane[0].get("a", "nan")) for lane in lanes}
         edges, at = {0: -offset}, -offset
         for number in sorted((n for n in right if n < 0), reverse=True):
             at += right[number]
@@ -155,13 +149,8 @@ def test_the_lanes_of_the_road_are_those_of_the_scenario(name: str, tmp_path: Pa
             edges[number] = at
         assert len(right) == len(numbers)
         found = sorted(edges.values())  # to the right of the reference line, from left to right
-        wanted = sorted(
-            {
-                round(scenario.road.offset(n) + side * 0.5 * scenario.road.width(n), 9)
-                for n in numbers
-                for side in (-1, 1)
-            }
-        )
+        sides = [(n, side) for n in numbers for side in (-0.5, 0.5)]
+        wanted = sorted({round(scenario.road.offset(n) + side * scenario.road.width(n), 9) for n, side in sides})
         assert found == pytest.approx(wanted, abs=1e-9)
         for row in (0, len(line) // 2, len(line) - 1):
             s, x, y, heading = line[row]

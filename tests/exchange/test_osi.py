@@ -43,6 +43,7 @@ def test_asams_own_library_reads_the_same_states(result: Path, skd_here, tmp_pat
     done = skd_here("export", result, "--format", "osi", "--worst", "3", "--out", "out", "--json")
     assert done.returncode == 0, done.stderr
     episodes, scenario = read_episodes(result), load_scenario("bystanders")
+    numbers = {(str(episodes.objective[k]), int(episodes.episode_id[k])): k for k in range(len(episodes))}
     files = json.loads(done.stdout)["files"]
     assert Counter(one["mode"] for one in files)["safe"] >= 1
     for one in files:
@@ -52,11 +53,7 @@ def test_asams_own_library_reads_the_same_states(result: Path, skd_here, tmp_pat
             assert 1 not in found  # the car is left out
             assert np.array_equal(found[2][:, 1:3], phi)
             continue
-        number = next(
-            k
-            for k in range(len(episodes))
-            if (str(episodes.objective[k]), int(episodes.episode_id[k])) == (one["objective"], one["episode_id"])
-        )
+        number = numbers[one["objective"], one["episode_id"]]
         adversary, car = episodes.until_contact(number), episodes.car_until_contact(number, scenario)
         assert np.array_equal(found[2][:, 1:3], adversary)
         assert np.array_equal(found[1][:, 1:3], car[:, :2])  # the reference point is the middle of this car

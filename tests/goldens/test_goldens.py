@@ -117,12 +117,9 @@ def skd(*words: object) -> None:
     from common import PATIENCE, new_domain  # which `--write` does not need, and could not import
     from forked_skd import ForkedSkd
 
-    variables = {
-        "PYTHONPATH": str(HERE),
-        "ROS_DOMAIN_ID": str(new_domain()),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
-    done = ForkedSkd([*map(str, words)], cwd=Path.cwd(), environment={**os.environ, **variables}).finish(PATIENCE)
+    variables = os.environ | {"PYTHONPATH": str(HERE), "ROS_DOMAIN_ID": str(new_domain())}
+    variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    done = ForkedSkd([*map(str, words)], cwd=Path.cwd(), environment=variables).finish(PATIENCE)
     assert done.returncode == 0, done.stderr
 
 

@@ -46,12 +46,8 @@ def test_a_node_whose_end_hangs(tmp_path: Path) -> None:
     log = tmp_path / "log"
     environment = {**os.environ, "ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with log.open("w") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-c", NODE, str(tmp_path / "hangs"), "skd_sim.ros.simulator_node"],
-            env=environment,
-            stdout=output,
-            stderr=output,
-        )
+        command = [sys.executable, "-c", NODE, str(tmp_path / "hangs"), "skd_sim.ros.simulator_node"]
+        process = subprocess.Popen(command, env=environment, stdout=output, stderr=output)
     try:
         wait_until(lambda: (tmp_path / "hangs-ready").exists() or process.poll() is not None, "the node")
         assert process.poll() is None, log.read_text()

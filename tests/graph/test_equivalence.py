@@ -160,11 +160,9 @@ def test_curves_and_boxes_are_the_same_to_the_last_bit(evaluator: Evaluator) -> 
     adversary = dataclasses.replace(turn.adversary, radius=None, length=1.8, width=0.6, start_x=-4.5)
     x = np.minimum(-4.5 + 0.75 * np.arange(16), 2.5)
     phi = Trajectory(np.column_stack([x, 0.2 * np.sin(x)]), turn.time_step, "by hand")
-    wanted = [
-        single_episode(Plan(scenario, controller="carla", seed=11), Mode.REPLAY, trial, phi)
-        for scenario in (turn, dataclasses.replace(turn, adversary=adversary))
-        for trial in range(4)
-    ]
+    scenarios = (turn, dataclasses.replace(turn, adversary=adversary))
+    plans = [Plan(scenario, controller="carla", seed=11) for scenario in scenarios]
+    wanted = [single_episode(plan, Mode.REPLAY, trial, phi) for plan in plans for trial in range(4)]
     logs = same_through_the_graph(evaluator, wanted)
     assert all(log.car[0, 0] > 1.0 > 0.01 > abs(log.car[-1, 0]) for log in logs)  # they came around the corner
     assert [log.impact_time for log in logs[4:]] != [log.impact_time for log in logs[:4]]  # and the shape counts

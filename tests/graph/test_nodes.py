@@ -49,22 +49,16 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: EpisodeSpec
     target = 5.0
     command = [sys.executable, str(HERE / "fake_nodes.py"), "speed", "--ros-args"]
     command += ["-p", f"stamped:={str(stamped).lower()}", "-p", f"target:={target}"]
-    options = GraphOptions(
-        command_type="twist_stamped" if stamped else "twist",
-        controller_command=shlex.join(command),
-        command_timeout=PATIENCE,
-    )
+    how = {"controller_command": shlex.join(command), "command_timeout": PATIENCE}
+    options = GraphOptions(command_type="twist_stamped" if stamped else "twist", **how)
+    external = dataclasses.replace(replay, controller="external", adversary_model="generic")
     bags = tmp_path / "bags"
     with whole_graph(tmp_path, options, record_to=bags) as (node, _):
         logs: list[EpisodeLog] = []
         deadline = time.monotonic() + PATIENCE
         while True:  # the recorder and somebody else's node may find each other late: the first bags may lack commands
             number = replay.episode_id + len(logs)
-            logs.append(
-                node.run_episode(
-                    dataclasses.replace(replay, controller="external", adversary_model="generic", episode_id=number)
-                )
-            )
+            logs.append(node.run_episode(dataclasses.replace(external, episode_id=number)))
             (bag,) = bags.glob(f"*_{number:016x}")
             with AnyReader([bag]) as reader:
                 found = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
@@ -124,10 +118,8 @@ def test_an_unknown_parameter_is_warned_of(domain, kind, tmp_path, monkeypatch, 
 
 def test_nobody_walks(context, domain, tmp_path, replay, monkeypatch):
     monkeypatch.setattr(evaluator_module, "_FIRST_DISCOVERY", 3.0)
-    nodes = running(
-        start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=2.0),
-        start_node(context, CONTROLLER, tmp_path / "c", domain),
-    )
+    simulator = start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=2.0)
+    nodes = running(simulator, start_node(context, CONTROLLER, tmp_path / "c", domain))
     with nodes, evaluator(tmp_path / "bags", silence_limit=4.0) as node:
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED

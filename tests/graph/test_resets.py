@@ -34,11 +34,8 @@ NAME = "/latching_brake"
 
 def test_a_managed_node_forgets(tmp_path: Path, replay: EpisodeSpec) -> None:
     """It brakes for ever once it has braked, unless it is cleaned up; and it is told where each episode starts."""
-    options = GraphOptions(
-        controller_command=shlex.join([sys.executable, str(HERE / "managed_node.py")]),
-        reset="lifecycle,initialpose",
-        lifecycle_nodes=NAME,
-    )
+    command = shlex.join([sys.executable, str(HERE / "managed_node.py")])
+    options = GraphOptions(controller_command=command, reset="lifecycle,initialpose", lifecycle_nodes=NAME)
     theirs = dataclasses.replace(replay, controller="external", adversary_model="generic")
     with whole_graph(tmp_path, options) as (evaluator, _):
         logs = [evaluator.run_episode(theirs) for _ in range(2)]

@@ -41,15 +41,8 @@ def run_order(context: ForkServerContext, folder: Path, plan: Plan, order: tuple
     """Run one episode with the nodes started in an order, and return what was recorded."""
     domain = new_domain()
     folder.mkdir()
-    parameters: dict[str, dict[str, object]] = {
-        EVALUATOR: {
-            "task": "episode",
-            "safe": plan.safe,
-            "safe_count": plan.safe_count,
-            "simulations": plan.simulations,
-            "out": folder / "out",
-        }
-    }
+    wanted = {"safe": plan.safe, "safe_count": plan.safe_count, "simulations": plan.simulations}
+    parameters: dict[str, dict[str, object]] = {EVALUATOR: {"task": "episode", **wanted, "out": folder / "out"}}
     started: dict[str, ForkServerProcess] = {}
     codes = []
     try:

@@ -193,14 +193,9 @@ def _variables(folder: Path) -> dict[str, str]:
         ours["SKD_CACHE_DIR"] = os.environ["SKD_CACHE_DIR"]
     ours |= {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     python = folder / "python"
-    paths = sysconfig.get_paths()
-    python.write_text(
-        _PYTHON.format(
-            python=shlex.quote(sys.executable),
-            packages=shlex.quote(paths["purelib"]),
-            version=f"python{sys.version_info.major}.{sys.version_info.minor}",
-        )
-    )
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    here, packages = shlex.quote(sys.executable), shlex.quote(sysconfig.get_paths()["purelib"])
+    python.write_text(_PYTHON.format(python=here, packages=packages, version=version))
     python.chmod(0o755)
     ours["SKD_PYTHON"] = str(python)
     if installation.is_sourced():

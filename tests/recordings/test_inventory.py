@@ -123,10 +123,8 @@ def test_what_is_not_credible_is_so_for_who_learns_from_it(copy, tmp_path, capsy
     assert said == [f"skd fit: warning: {copy / 'episodes.npz'}: {NOT_CREDIBLE}it counts"]
     for name in ("assessment", "probe"):
         (tmp_path / f"{name}.json").write_text(json.dumps({"warnings": [f"{NOT_CREDIBLE}{name}"]}))
-    assert not_credible_beside([tmp_path / "bags" / name / "0.mcap" for name in "ab"]) == [
-        f"{NOT_CREDIBLE}probe",
-        f"{NOT_CREDIBLE}assessment",
-    ]
+    bags = [tmp_path / "bags" / name / "0.mcap" for name in "ab"]
+    assert not_credible_beside(bags) == [f"{NOT_CREDIBLE}probe", f"{NOT_CREDIBLE}assessment"]
     assert not_credible_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
 
 

@@ -57,9 +57,8 @@ class Rolling:
         self._braking += max(-0.5, min(0.5, command - self._braking))
         speed = max(0.0, car.speed + FRAME * (self._braking - 0.1))
         self._car = CarState(car.x, car.y + 0.5 * FRAME * (car.speed + speed), HEADING_NORTH, speed)
-        self._adversary = AdversaryState(
-            adversary.x + FRAME * velocity[0], adversary.y + FRAME * velocity[1], *velocity
-        )
+        x, y = adversary.x + FRAME * velocity[0], adversary.y + FRAME * velocity[1]
+        self._adversary = AdversaryState(x, y, *velocity)
         return self._car, self._adversary
 
 
@@ -85,9 +84,8 @@ def test_another_simulator_counts_and_is_named(foreign: list[EpisodeLog], record
     assert done.result["left_out"] == []
     (line,) = done.result["warnings"]
     assert "24 episodes did not run in SKD's own world" in line
-    assert done.result["pairs"] == sum(
-        log.outcome == Outcome.COLLISION for log in foreign if log.episode.mode == Mode.KAMIKAZE
-    )
+    kamikazes = [log for log in foreign if log.episode.mode == Mode.KAMIKAZE]
+    assert done.result["pairs"] == sum(log.outcome == Outcome.COLLISION for log in kamikazes)
 
 
 @pytest.mark.parametrize(
@@ -152,16 +150,9 @@ def test_commands_that_come_late_count(logs: list[EpisodeLog], recorded: Write, 
 def test_states_of_another_topic_are_not_mixed_in(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
     """carla_ros_bridge publishes /carla/ego/odometry for a car with the role name `ego`."""
     right = replay(recorded(sent))
-    extra = [
-        replace(
-            message,
-            topic=f"/carla{message.topic}",
-            content=forged([message], 0, "pose.pose.position.y", 7.0)[0].content,
-        )
-        for one in sent
-        for message in one
-        if message.topic == CAR
-    ]
+    cars = [message for one in sent for message in one if message.topic == CAR]
+    moved = [forged([message], 0, "pose.pose.position.y", 7.0)[0] for message in cars]
+    extra = [replace(message, topic=f"/carla{message.topic}") for message in moved]
     done = replay(recorded([*sent, extra]))
     assert done.err == ""
     assert done.episodes == right.episodes

@@ -55,9 +55,8 @@ def files(tmp_path_factory: pytest.TempPathFactory, logs: list[EpisodeLog]) -> P
     assert run_skd("probe", "--episodes", "40", "--quiet", "--out", folder / "probe") == 0
     assert run_skd("fit", folder / "probe", "--quiet", "--out", folder / "fit") == 0
     shutil.copy(folder / "fit" / "car_model.yaml", folder)
-    write_mcap(
-        folder / "x.mcap", [one for each in campaign_messages(logs) for one in each], chunks=False, checksums=False
-    )
+    messages = [one for each in campaign_messages(logs) for one in each]
+    write_mcap(folder / "x.mcap", messages, chunks=False, checksums=False)
     (folder / "x.yaml").write_text(yaml.safe_dump(load_scenario("crossing").as_dict(), sort_keys=False))
     shutil.copy(EXAMPLES / "campaign" / "sweep.yaml", folder / "c.yaml")
     walked = [(0.3 * tick, -3.5 + 0.75 * tick) for tick in range(10)]
@@ -111,10 +110,9 @@ def test_a_file_is_taken_or_refused_in_one_line(kind: str, files: Path, tmp_path
     shutil.copytree(files / "result", tmp_path / "result")
     content = (files / name).read_bytes()
     words = [word.replace("{}", str(tmp_path)) for word in command]
-    out = (
-        ["--out", str(tmp_path / "out"), "--overwrite"] if command[0] in ("assess", "import", "replay", "fuse") else []
-    )
-    read = _reader((tmp_path / name), [*words, *out])
+    writes = command[0] in ("assess", "import", "replay", "fuse")
+    words += ["--out", str(tmp_path / "out"), "--overwrite"] if writes else []
+    read = _reader((tmp_path / name), words)
     assert read(content) == 0
 
     @settings(max_examples=6 if command[0] == "assess" else 15)

@@ -116,12 +116,8 @@ def test_a_number_has_a_range_and_a_unit(place: str, low: float, high: float, un
 def test_every_number_has_a_range_and_a_unit() -> None:
     nodes = [schema_of(Scenario), *schema_of(Scenario)["$defs"].values()]
     values = [value for node in nodes for value in node["properties"].values()]
-    numbers = [
-        one
-        for value in values
-        for one in (value, value.get("items", {}), *value.get("anyOf", ()))
-        if one.get("type") in ("number", "integer")
-    ]
+    every = [one for value in values for one in (value, value.get("items", {}), *value.get("anyOf", ()))]
+    numbers = [one for one in every if one.get("type") in ("number", "integer")]
     assert len(numbers) > 70
     assert all({"minimum", "maximum", "unit"} <= set(one) for one in numbers)
 
