@@ -110,6 +110,10 @@ def test_what_cannot_be_bisected_ends_in_one_line(repository, tmp_path):
     one_line(bisect(repository, "start", "nowhere", *out), 2, "nowhere: no such commit")
     one_line(skd("bisect", "start", "notes", *out, "--", "--graph", cwd=repository), 2, "--graph")
     one_line(skd("bisect", "start", "notes", *out, cwd=repository), 2, "--controller basic: give one of your own")
+    (repository / "new.py").write_text(CAR)
+    new = skd("bisect", "start", "notes", *out, "--", "--controller", "new.py:Brake", cwd=repository)
+    (repository / "new.py").unlink()
+    one_line(new, 2, "--controller new.py:Brake: new.py is not in git; add and commit it")
     assert bisect(repository, "start", "nowhere", "--here").returncode == 128
     assert "not shown to be worse" in bisect(repository, "worse", "mended", *out).stderr
 

@@ -59,7 +59,8 @@ class Repository:
         self.top = file.parent
         self.top = Path(self.git("rev-parse", "--show-toplevel"))
         self.file = file.resolve().relative_to(self.top.resolve())
-        self.git("ls-files", "--error-unmatch", "--", str(self.file))
+        if not self.git("ls-files", "--", str(self.file)):
+            raise UsageError(f"--controller {controller}: {self.file} is not in git; add and commit it")
         self.storage = (self.top / self.git("rev-parse", "--git-common-dir")).resolve()
         inside = [one for one in sys.path if Path(one).resolve().is_relative_to(self.top.resolve())]
         tracked = [one for one in inside if self.git("ls-files", "--", str(Path(one).resolve()))]
