@@ -7,17 +7,7 @@ import math
 import numpy as np
 import pytest
 from recorded_cars import a_car
-from skd_adversary.car_models.car_model_file import (
-    CarParameter,
-    FittedCar,
-    ParameterPrior,
-    car_model_from,
-    car_model_text,
-    check_scenario,
-    fitted_car,
-    read_car_model,
-    write_car_model,
-)
+from skd_adversary.car_models import car_model_file as files
 from skd_adversary.crossing.cars import DECELERATION, DELAY, LearnedCar, known_basic_car
 from skd_adversary.crossing.interfaces import CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.crossing.model import compose
@@ -28,10 +18,13 @@ from skd_sim import UsageError, load_scenario
 
 SCENARIO = load_scenario("crossing")
 PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])
-UNCERTAIN = {"trigger": ParameterPrior("uniform", 8.0, 10.0), "deceleration": ParameterPrior("normal", 4.0, 0.5)}
+UNCERTAIN = {
+    "trigger": files.ParameterPrior("uniform", 8.0, 10.0),
+    "deceleration": files.ParameterPrior("normal", 4.0, 0.5),
+}
 
 
-def models(car: FittedCar):
+def models(car: files.FittedCar):
     known = known_basic_car(9.0 / SCENARIO.car.safe_distance)
     how = {"start": (-3.5, 0.0), "gap": 13.0, "path": PATH}
     return [compose(SCENARIO, PAPER, one, **how) for one in (known, LearnedCar(car, known))]
@@ -55,7 +48,8 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
 
 
 def test_delayed_car_brakes_later():
-    _, fitted = models(a_car(reaction_delay=ParameterPrior("point", 0.6), speed_noise=ParameterPrior("point", 0.0)))
+    late, quiet = (files.ParameterPrior("point", value) for value in (0.6, 0.0))
+    _, fitted = models(a_car(reaction_delay=late, speed_noise=quiet))
     rng = np.random.default_rng(0)
     state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, rng)
@@ -82,11 +76,12 @@ def test_what_is_uncertain_is_drawn_from_its_prior():
 
 def test_round_trip(tmp_path):
     car = a_car(**UNCERTAIN)
-    car.parameters["cruise_gain"] = CarParameter(ParameterPrior("uniform", 0.0, 1.0), reason="not identifiable")
+    unknown = files.ParameterPrior("uniform", 0.0, 1.0)
+    car.parameters["cruise_gain"] = files.CarParameter(unknown, reason="not identifiable")
     car = dataclasses.replace(car, front=2.25, rear=2.0)
-    write_car_model(tmp_path / "car_model.yaml", car)
-    assert read_car_model(tmp_path) == read_car_model(tmp_path / "car_model.yaml") == car
-    assert fitted_car(car_model_text(car)) == car
+    files.write_car_model(tmp_path / "car_model.yaml", car)
+    assert files.read_car_model(tmp_path) == files.read_car_model(tmp_path / "car_model.yaml") == car
+    assert files.fitted_car(files.car_model_text(car)) == car
 
 
 def _point(value: float) -> dict[str, object]:
@@ -99,33 +94,29 @@ def _point(value: float) -> dict[str, object]:
     ("key", "value", "message"),
     [
         (("measure",), "smell", "measure must be one of distance, time, got 'smell'"),
-        (
-            ("parameters", "trigger", "prior", "first"),
-            float("nan"),
-            "parameters.trigger.prior.first must be a number ≥ 0",
-        ),
+        (("parameters", "trigger", "prior", "first"), math.nan, "parameters.trigger.prior.first must be a number ≥ 0"),
         (("parameters", "trigger", "standard_error"), -0.5, "trigger.standard_error must be a number ≥ 0, got -0.5"),
         (("parameters", "deceleration"), _point(3500.0), "prior.first must be from 0 to 30 .m/s²., got 3500"),
         (("parameters", "reaction_delay"), _point(1.2), "reaction_delay.estimate must be at most 3 ticks of 0.3 s"),
     ],
 )
 def test_bad_model(tmp_path, key, value, message):
-    data = json.loads(car_model_text(a_car()))
+    data = json.loads(files.car_model_text(a_car()))
     part = data
     for name in key[:-1]:
         part = part[name]
     part[key[-1]] = value
     with pytest.raises(UsageError, match=f"^here: .*{message}"):
-        car_model_from(data, "here")
+        files.car_model_from(data, "here")
 
 
 def test_a_model_of_another_tick_or_another_car_is_refused():
     crossing, cart = load_scenario("crossing"), load_scenario("citr_crossing")
     size = {"front": crossing.car.front, "rear": crossing.car.rear}
     car = dataclasses.replace(a_car(), time_step=crossing.time_step, **size)
-    check_scenario(car, crossing, "here")
-    check_scenario(dataclasses.replace(car, front=None, rear=None), cart, "here")  # written without a footprint
+    files.check_scenario(car, crossing, "here")
+    files.check_scenario(dataclasses.replace(car, front=None, rear=None), cart, "here")  # written without a footprint
     with pytest.raises(UsageError, match=r"^here: front is .* scenario citr_crossing"):
-        check_scenario(car, cart, "here")
+        files.check_scenario(car, cart, "here")
     with pytest.raises(UsageError, match=r"^here: time_step is 0\.1 s, that of scenario crossing 0\.3 s"):
-        check_scenario(dataclasses.replace(car, time_step=0.1), crossing, "here")
+        files.check_scenario(dataclasses.replace(car, time_step=0.1), crossing, "here")

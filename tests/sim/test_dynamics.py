@@ -9,31 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from skd_sim import CarState, Scenario, load_scenario
-from skd_sim.world.dynamics.multi_body import (
-    ANGLE,
-    BMW_320I,
-    DRIFT,
-    FRONT,
-    HEADING,
-    HEIGHT,
-    LEFT,
-    PITCH,
-    PITCH_RATE,
-    REAR,
-    SPEED,
-    STATES,
-    TYRE,
-    VERTICAL_SPEED,
-    WHEELS,
-    YAW_RATE,
-    MultiBodyCar,
-    WheelTorques,
-    apply_brake,
-    derivative,
-    new_brake,
-    peak_slip,
-    rest_state,
-)
+from skd_sim.world.dynamics import multi_body as body
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
@@ -58,7 +34,7 @@ def scenario(friction: float = 1.0, **changes: Any) -> Scenario:
 
 def drive(setting, speed, commands, *, duration=TICK, step=0.001):
     """Path under a list of commands, from the origin northwards, and the car at its end."""
-    car = MultiBodyCar(setting, step=step)
+    car = body.MultiBodyCar(setting, step=step)
     car.reset(CarState(0.0, 0.0, math.pi / 2, speed))
     rng = np.random.default_rng(0)
     parts = [car.advance((command, 0.0), duration, car.draw(rng)) for command in commands]
@@ -98,17 +74,17 @@ def test_energy_never_rises_without_throttle(commands, friction, speed, antilock
 
     The speed alone may rise by what the wheels, as flywheels, give back: less than a millionth.
     """
-    car = MultiBodyCar(scenario(friction, antilock=antilock))
+    car = body.MultiBodyCar(scenario(friction, antilock=antilock))
     car.reset(CarState(0.0, 0.0, 0.0, speed))
     rng = np.random.default_rng(0)
-    spin = car.state[WHEELS:]
-    energy = 0.5 * BMW_320I.m * speed**2 + BMW_320I.I_y_w * float(spin @ spin)
+    spin = car.state[body.WHEELS :]
+    energy = 0.5 * body.BMW_320I.m * speed**2 + body.BMW_320I.I_y_w * float(spin @ spin)
     for command in commands:
         for _ in range(30):
             path = car.advance((command, 0.0), 0.01, car.draw(rng))
             assert path[1, 3] <= path[0, 3] * (1.0 + 1e-6)
-            spin = car.state[WHEELS:]
-            after = 0.5 * BMW_320I.m * car.state[SPEED] ** 2 + BMW_320I.I_y_w * float(spin @ spin)
+            spin = car.state[body.WHEELS :]
+            after = 0.5 * body.BMW_320I.m * car.state[body.SPEED] ** 2 + body.BMW_320I.I_y_w * float(spin @ spin)
             assert after <= energy * (1.0 + 1e-12)
             energy = after
 
@@ -120,36 +96,36 @@ def test_load_transfer(deceleration: float) -> None:
     The source takes for h the height of the sprung mass's centre, which the tyres' deflection lowers to 0.597 m; with
     that of the whole car's centre, 0.575 m, the transfer would be 4 % less.
     """
-    v = BMW_320I
+    v = body.BMW_320I
     _, car = drive(scenario(), 30.0, [-deceleration] * 8)
-    rest = rest_state()
-    front = 2.0 * v.K_zt * (car.state[FRONT] - rest[FRONT])
-    rear = 2.0 * v.K_zt * (car.state[REAR] - rest[REAR])
+    rest = body.rest_state()
+    front = 2.0 * v.K_zt * (car.state[body.FRONT] - rest[body.FRONT])
+    rear = 2.0 * v.K_zt * (car.state[body.REAR] - rest[body.REAR])
     wheelbase = v.a + v.b
-    height = v.h_s - rest[HEIGHT]
+    height = v.h_s - rest[body.HEIGHT]
     assert front == pytest.approx(v.m * deceleration * height / wheelbase, rel=0.01)
     assert front == pytest.approx(v.m * deceleration * 0.575 / wheelbase, rel=0.05)
     assert rear == pytest.approx(-front, rel=0.01)
-    assert car.state[PITCH] < rest[PITCH]  # nose down
+    assert car.state[body.PITCH] < rest[body.PITCH]  # nose down
 
 
 @pytest.mark.parametrize("friction", [1.0, WET, 0.3])
 def test_antilock_keeps_the_wheels_turning_and_stops_sooner(friction: float) -> None:
     _, car = drive(scenario(friction), 20.0, [FULL] * 3)
-    slip = 1.0 - BMW_320I.R_w * car.state[WHEELS:] / car.state[SPEED]
-    assert slip.max() < 2.0 * peak_slip(friction)
+    slip = 1.0 - body.BMW_320I.R_w * car.state[body.WHEELS :] / car.state[body.SPEED]
+    assert slip.max() < 2.0 * body.peak_slip(friction)
     _, locked = drive(scenario(friction, antilock=False), 20.0, [FULL] * 3)
-    assert locked.state[WHEELS + 1] == 0.0
+    assert locked.state[body.WHEELS + 1] == 0.0
     assert stopping_distance(scenario(friction), 20.0) < stopping_distance(scenario(friction, antilock=False), 20.0)
 
 
 @pytest.mark.parametrize(("delay", "rate", "step"), [(0.1, 50.0, 0.001), (0.25, 10.0, 0.001), (0.0, 20.0, 0.0005)])
 def test_brake_waits_and_then_ramps(delay: float, rate: float, step: float) -> None:
-    brake = new_brake(delay, step)
+    brake = body.new_brake(delay, step)
     times = np.arange(1, round(1.0 / step) + 1) * step
-    applied = np.array([apply_brake(brake, 6.0, rate, step) for _ in times])
+    applied = np.array([body.apply_brake(brake, 6.0, rate, step) for _ in times])
     np.testing.assert_allclose(applied, np.clip((times - delay) * rate, 0.0, 6.0), atol=rate * step + 1e-9)
-    released = np.array([apply_brake(brake, 0.0, rate, step) for _ in times])
+    released = np.array([body.apply_brake(brake, 0.0, rate, step) for _ in times])
     np.testing.assert_allclose(released, np.clip(6.0 - (times - delay) * rate, 0.0, 6.0), atol=rate * step + 1e-9)
 
 
@@ -158,23 +134,24 @@ PLACES = [0, 3, 8, 9, 11, 12, 16, 17, 21, 22, 23, 25]
 
 
 def test_right_hand_side_is_that_of_a_car_that_goes_straight() -> None:
-    v, rng, out = BMW_320I, np.random.default_rng(1), np.empty(STATES)
+    v, rng, out = body.BMW_320I, np.random.default_rng(1), np.empty(body.STATES)
     theirs = setup_vehicle_parameters(2)
     theirs.tire.p_hx1 = theirs.tire.p_vx1 = theirs.tire.r_vy1 = 0.0  # by which a car at rest would creep and pull
     for _ in range(300):
-        x = rest_state()
-        x[SPEED] = rng.uniform(0.5, 40.0)
-        for place in (PITCH, PITCH_RATE, HEIGHT, VERTICAL_SPEED, FRONT, FRONT + 1, REAR, REAR + 1):
+        x = body.rest_state()
+        x[body.SPEED] = rng.uniform(0.5, 40.0)
+        sprung = (body.PITCH, body.PITCH_RATE, body.HEIGHT, body.VERTICAL_SPEED)
+        for place in (*sprung, body.FRONT, body.FRONT + 1, body.REAR, body.REAR + 1):
             x[place] += rng.uniform(-0.01, 0.01)
-        x[WHEELS:] = x[SPEED] / v.R_w * rng.uniform(0.1, 1.1, 2)
-        acceleration = rng.uniform(-v.a_max, v.a_max * min(1.0, v.v_switch / x[SPEED]))
+        x[body.WHEELS :] = x[body.SPEED] / v.R_w * rng.uniform(0.1, 1.1, 2)
+        acceleration = rng.uniform(-v.a_max, v.a_max * min(1.0, v.v_switch / x[body.SPEED]))
         force = 0.5 * v.m * v.R_w
         brake, drive = max(0.0, -acceleration) * force, max(0.0, acceleration) * force
         shares = v.T_sb * brake, (1.0 - v.T_sb) * brake, v.T_se * drive, (1.0 - v.T_se) * drive
-        derivative(x, WheelTorques(shares[:2], shares[2:], (2.0, 3.0)), 1.0, out)
+        body.derivative(x, body.WheelTorques(shares[:2], shares[2:], (2.0, 3.0)), 1.0, out)
         whole = np.zeros(29)
         whole[PLACES] = x
-        whole[[24, 26]] = x[WHEELS:]
+        whole[[24, 26]] = x[body.WHEELS :]
         expected = np.array(vehicle_dynamics_mb(whole.tolist(), [0.0, acceleration], theirs))
         np.testing.assert_allclose(out, expected[PLACES], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(np.delete(expected, [*PLACES, 24, 26]), 0.0, atol=1e-9)
@@ -183,36 +160,37 @@ def test_right_hand_side_is_that_of_a_car_that_goes_straight() -> None:
 def test_parameters_are_those_of_the_source() -> None:
     theirs = setup_vehicle_parameters(2)
     flat = vars(theirs.longitudinal) | vars(theirs) | {"v_max": theirs.steering.v_max}
-    assert BMW_320I._asdict() == {name: flat[name] for name in BMW_320I._fields}
-    assert TYRE._asdict() == {name: getattr(theirs.tire, name) for name in TYRE._fields}
+    assert body.BMW_320I._asdict() == {name: flat[name] for name in body.BMW_320I._fields}
+    assert body.TYRE._asdict() == {name: getattr(theirs.tire, name) for name in body.TYRE._fields}
 
 
-THEIRS = [0, LEFT, ANGLE, SPEED, HEADING, YAW_RATE, DRIFT, WHEELS, WHEELS + 1]
+THEIRS = [0, body.LEFT, body.ANGLE, body.SPEED, body.HEADING, body.YAW_RATE, body.DRIFT, body.WHEELS, body.WHEELS + 1]
 """Of our states those of the source's drift model, in its order."""
 
 
 def test_right_hand_side_of_a_car_that_steers_is_that_of_the_drift_model() -> None:
-    v, rng, out = BMW_320I, np.random.default_rng(2), np.empty(STATES)
+    v, rng, out = body.BMW_320I, np.random.default_rng(2), np.empty(body.STATES)
     theirs = setup_vehicle_parameters(2)
     for offset in ("p_hx1", "p_vx1", "r_hx1", "r_hy1", "r_vy1", "r_by3"):  # these push, or tell left from right
         setattr(theirs.tire, offset, 0.0)
     theirs.I_y_w *= 2.0  # of the two wheels of an axle
     for _ in range(300):
-        x, speed = np.zeros(STATES), rng.uniform(2.0, 40.0)
-        x[[LEFT, HEADING, YAW_RATE, DRIFT, ANGLE]] = rng.uniform(-1.0, 1.0, 5) * (9.0, 3.0, 1.5, 0.4, 0.6)
-        x[SPEED], x[WHEELS:] = speed, speed / v.R_w * rng.uniform(0.1, 1.1, 2)
+        x, speed = np.zeros(body.STATES), rng.uniform(2.0, 40.0)
+        places = [body.LEFT, body.HEADING, body.YAW_RATE, body.DRIFT, body.ANGLE]
+        x[places] = rng.uniform(-1.0, 1.0, 5) * (9.0, 3.0, 1.5, 0.4, 0.6)
+        x[body.SPEED], x[body.WHEELS :] = speed, speed / v.R_w * rng.uniform(0.1, 1.1, 2)
         acceleration = rng.uniform(-v.a_max, v.a_max * min(1.0, v.v_switch / speed))
         force = 0.5 * v.m * v.R_w
         brake, drive = max(0.0, -acceleration) * force, max(0.0, acceleration) * force
         shares = v.T_sb * brake, (1.0 - v.T_sb) * brake, v.T_se * drive, (1.0 - v.T_se) * drive
-        derivative(x, WheelTorques(shares[:2], shares[2:], (2.0, 3.0), acceleration, steered=True), 1.0, out)
+        body.derivative(x, body.WheelTorques(shares[:2], shares[2:], (2.0, 3.0), acceleration, steered=True), 1.0, out)
         expected = np.array(vehicle_dynamics_std(x[THEIRS].tolist(), [0.0, acceleration], theirs))
         np.testing.assert_allclose(out[THEIRS], expected, rtol=1e-9, atol=1e-9)
 
 
 def steered(setting: Scenario, speed: float, commands: Any, step: float = 0.001) -> np.ndarray:
     """Path from the origin northwards under commands of a tick each."""
-    car = MultiBodyCar(setting, step=step)
+    car = body.MultiBodyCar(setting, step=step)
     car.reset(CarState(0.0, 0.0, math.pi / 2, speed))
     quiet = car.draw(np.random.default_rng(0))
     return np.concatenate([car.advance(command, TICK, quiet)[1:] for command in commands])
@@ -224,7 +202,7 @@ def test_a_car_whose_axles_slip_alike_drives_the_circle_of_its_wheelbase(speed: 
     path = steered(scenario(), speed, [(0.0, 0.03)] * 20)[200:]
     turned = math.remainder(path[-1, 2] - path[0, 2], math.tau)
     driven = np.hypot(*np.diff(path[:, :2], axis=0).T).sum()
-    assert turned / driven == pytest.approx(math.tan(0.03) / (BMW_320I.a + BMW_320I.b), rel=0.02)
+    assert turned / driven == pytest.approx(math.tan(0.03) / (body.BMW_320I.a + body.BMW_320I.b), rel=0.02)
 
 
 @settings(max_examples=30)
@@ -242,7 +220,7 @@ def test_tyres_bound_what_a_car_that_steers_does(commands, friction, speed):
     commands = [(0.0, 0.1), *commands]
     path = steered(scenario(friction), speed, commands)
     velocity = np.diff(path[:, :2], axis=0) / 0.01
-    assert (np.hypot(*np.diff(velocity, axis=0).T) / 0.01).max() <= 1.06 * friction * TYRE.p_dx1 * 9.81 + 0.05
+    assert (np.hypot(*np.diff(velocity, axis=0).T) / 0.01).max() <= 1.06 * friction * body.TYRE.p_dx1 * 9.81 + 0.05
     mirrored = steered(scenario(friction), speed, [(acceleration, -angle) for acceleration, angle in commands])
     np.testing.assert_allclose(mirrored[:, :2] * (-1.0, 1.0), path[:, :2], atol=1e-6)
     np.testing.assert_allclose(np.sin(mirrored[:, 2]), np.sin(path[:, 2]), atol=1e-6)
