@@ -104,13 +104,9 @@ def test_as_phi_takes_the_steps_of_phi_and_then_none(fitted: bool) -> None:
 @pytest.mark.parametrize("path", [STRAIGHT, SLOW], ids=["straight", "slow"])
 def test_who_is_hit_along_phi_does_not_leave_it(path: Trajectory) -> None:
     """A car that never brakes, seen without noise, and a φ that it hits in the middle of its way through the strip."""
-    scenario = replace(
-        CROSSING,
-        adversary=replace(CROSSING.adversary, position_noise=1e-3),
-        car=replace(
-            CROSSING.car, start_gap=float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0]))), start_gap_range=0.01
-        ),
-    )
+    gap = float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0])))
+    car = replace(CROSSING.car, start_gap=gap, start_gap_range=0.01)
+    scenario = replace(CROSSING, adversary=replace(CROSSING.adversary, position_noise=1e-3), car=car)
     for number in range(3):
         log = run_episode(replace(a_kamikaze(path, number, multiplier=0.0), scenario=scenario))
         assert log.outcome == Outcome.COLLISION
@@ -128,9 +124,8 @@ def test_the_budget_is_hard(limit: float) -> None:
         apart = np.hypot(*(log.adversary - phi).T)
         beyond = np.flatnonzero(apart > limit)
         if len(beyond) and beyond[0] + 1 < len(apart):  # from then on as φ
-            np.testing.assert_allclose(
-                np.diff(log.adversary[beyond[0] :], axis=0), np.diff(phi[beyond[0] :], axis=0), atol=1e-12
-            )
+            steps = [np.diff(places[beyond[0] :], axis=0) for places in (log.adversary, phi)]
+            np.testing.assert_allclose(*steps, atol=1e-12)
         elif log.outcome == Outcome.COLLISION and strayed(log) <= limit:
             found.append(strayed(log))
     assert found

@@ -117,15 +117,9 @@ def calls(shell: Sequence[Block], folder: Path) -> dict[Block, list[Call]]:
             path, place, program, *words = entry.split("\0")[:-1]
             name = Path(place, program).resolve()
             within = name.relative_to(folder) if name.is_relative_to(folder) else name
-            said[block].append(
-                Call(
-                    block,
-                    within.name if within.parts[0] == "programs" else str(within),
-                    tuple(words),
-                    path.removeprefix("PYTHONPATH="),
-                    os.path.relpath(Path(place).resolve(), folder),
-                )
-            )
+            known, there = within.parts[0] == "programs", os.path.relpath(Path(place).resolve(), folder)
+            called = within.name if known else str(within)
+            said[block].append(Call(block, called, tuple(words), path.removeprefix("PYTHONPATH="), there))
     return said
 
 

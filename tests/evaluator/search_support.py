@@ -17,21 +17,12 @@ TIME_STEP = CROSSING.time_step
 def kamikaze_episode(
     points, ticks=40, multiplier=1.0, seed=0, number=0, gap=None, impact=0.0, simulations=1000
 ) -> EpisodeSpec:
-    scenario = replace(
-        CROSSING,
-        horizon=ticks * TIME_STEP,
-        car=CROSSING.car if gap is None else replace(CROSSING.car, start_gap=gap),
-        collision=replace(CROSSING.collision, minimum_impact_speed=impact),
-    )
-    return EpisodeSpec(
-        scenario,
-        Mode.KAMIKAZE,
-        seed,
-        episode_id(EpisodeGroup.KAMIKAZE, 0, number),
-        multiplier=multiplier,
-        safe_trajectory=Trajectory(np.array(points, dtype=float), TIME_STEP),
-        simulations=simulations,
-    )
+    car = CROSSING.car if gap is None else replace(CROSSING.car, start_gap=gap)
+    collision = replace(CROSSING.collision, minimum_impact_speed=impact)
+    scenario = replace(CROSSING, horizon=ticks * TIME_STEP, car=car, collision=collision)
+    path, own = Trajectory(np.array(points, dtype=float), TIME_STEP), episode_id(EpisodeGroup.KAMIKAZE, 0, number)
+    how = {"multiplier": multiplier, "simulations": simulations}
+    return EpisodeSpec(scenario, Mode.KAMIKAZE, seed, own, path, **how)
 
 
 def search_margin(episode: EpisodeSpec, budget: int) -> Hit | None:

@@ -99,15 +99,9 @@ class Program:
     def __init__(self, command: Sequence[str], environment: Mapping[str, str | None] | None = None) -> None:
         """Start it with variables of its own; one whose value is None is taken away."""
         self.token = uuid.uuid4().hex
-        self.popen = subprocess.Popen(
-            command,
-            env={"PYTHONFAULTHANDLER": "1"} | _variables(self.token, environment),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        variables = {"PYTHONFAULTHANDLER": "1"} | _variables(self.token, environment)
+        how = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        self.popen = subprocess.Popen(command, env=variables, start_new_session=True, **how)
 
     def finish(self, timeout: float = PATIENCE) -> Finished:
         """Wait for its end, and see that nothing is left of it; one that does not end says where it is."""

@@ -36,14 +36,9 @@ def episodes(name: str, objective: Objective) -> list[EpisodeSpec]:
     """Four trials of each mode at each of two multipliers."""
     scenario = load_scenario(name)
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
-    return [
-        single_episode(
-            Plan(scenario, multiplier=multiplier, seed=11, simulations=500, objective=objective), mode, trial, safe
-        )
-        for multiplier in MULTIPLIERS
-        for mode in Mode
-        for trial in range(4)
-    ]
+    how = {"seed": 11, "simulations": 500, "objective": objective}
+    plans = [Plan(scenario, multiplier=multiplier, **how) for multiplier in MULTIPLIERS]
+    return [single_episode(plan, mode, trial, safe) for plan in plans for mode in Mode for trial in range(4)]
 
 
 @pytest.fixture(scope="module")

@@ -96,16 +96,9 @@ class Image:
 
     def start(self, *command: object, **variables: str) -> subprocess.Popen[str]:
         """Start a container's command: by the entry point, in the working folder."""
-        return subprocess.Popen(
-            [*map(self.local, value("ENTRYPOINT")), *map(str, command)],
-            cwd=self.folder,
-            env={**self.variables, **variables},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
+        words = [*map(self.local, value("ENTRYPOINT")), *map(str, command)]
+        how = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        return subprocess.Popen(words, cwd=self.folder, env=self.variables | variables, start_new_session=True, **how)
 
     def run(self, *command: object, **variables: str) -> subprocess.CompletedProcess[str]:
         with self.start(*command, **variables) as process:
