@@ -13,18 +13,20 @@ def main(out: str) -> None:
     result = load_result(out)  # refused where its figures do not follow from its episodes
     mean = clustered_mean(result.groups["margin"])
     print(f"margin again {mean.value:.3f} m, the mean of {mean.values} trials along {mean.groups} safe trajectories")
-    strayed = [
+    deviations = [
         deviation(phi.positions, log.trajectory.positions, log.impact_time / phi.time_step)
         for log in rating.kamikaze_logs
         if log.hit and (phi := log.episode.safe_trajectory)
     ]
-    print(f"{len(strayed)} kamikazes were hit, having strayed {sum(strayed) / len(strayed):.3f} m on average")
+    print(
+        f"{len(deviations)} kamikazes were hit, {sum(deviations) / len(deviations):.3f} m from φ on average"
+    )
     figure, axes = plt.subplots()
     for number, margins in enumerate(result.groups["margin"], start=1):
         axes.plot([number] * len(margins), margins, ".", alpha=0.5)
-    axes.set(xlabel="safe trajectory φ", ylabel="margin of a trial (m)", title="How far anybody had to stray")
+    axes.set(xlabel="safe trajectory φ", ylabel="margin of a trial (m)", title="Margins of the basic car")
     figure.savefig(f"{out}/margins.png", dpi=150)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:] or ["skd_results/library"])
