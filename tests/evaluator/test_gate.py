@@ -177,7 +177,8 @@ def test_the_command_line_decides(skd_here, here, cars):
     [
         (["--fail-below", "deviatoin=1"], ["--fail-below deviatoin=1", "did you mean 'deviation'?"]),
         (["--fail-above", "price=1"], ["no figure 'price'", "did you mean time_lost?"]),
-        (["--fail-below", "safety=1"], ["the first are margin, risk_1, time_lost"]),
+        (["--fail-above", "impact_speed=1"], ["did you mean impact_speed.mean?"]),
+        (["--fail-below", "safety=1"], ["one number; it has margin, risk_1, time_lost"]),
         (["--fail-below", "deviation=much"], ["FIGURE=NUMBER"]),
         (["--fail-above", "contact_rate=5"], ["--fail-above contact_rate=5", "from 0 to 1, where 0.05 is 5 %"]),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),

@@ -302,8 +302,9 @@ def near_figure(name: str) -> str:
     words, known = name.split("."), scalar_figures()
     rows = [row for key, row in AT_THE_TOP.items() if key in known]
     called = " or ".join(row.key for row in rows if name.lower().replace("_", " ") in row.label.lower())
+    called = f"{name}.mean" if f"{name}.mean" in known else called
     near = f"; did you mean {called}?" if called else did_you_mean(name, [_filled(one, words) for one in known])
-    return near or f"; the first are {', '.join(row.key for row in rows if row.first)}"
+    return near or f"; it has {', '.join(row.key for row in rows if row.first)} and more"
 
 
 def _fits(words: list[str], pattern: list[str]) -> bool:
