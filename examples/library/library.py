@@ -18,9 +18,7 @@ def main(out: str) -> None:
         for log in rating.kamikaze_logs
         if log.hit and (phi := log.episode.safe_trajectory)
     ]
-    print(
-        f"{len(deviations)} kamikazes were hit, {sum(deviations) / len(deviations):.3f} m from φ on average"
-    )
+    print(f"{len(deviations)} kamikazes were hit, {sum(deviations) / len(deviations):.3f} m from φ on average")
     figure, axes = plt.subplots()
     for number, margins in enumerate(result.groups["margin"], start=1):
         axes.plot([number] * len(margins), margins, ".", alpha=0.5)
