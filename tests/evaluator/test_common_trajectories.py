@@ -94,7 +94,7 @@ def test_the_margin_of_a_car_that_uses_the_oncoming_lane_is_the_lower_one(tmp_pa
     assert figures["margin_lanes"]["free"] > 0.5
     assert figures["optimality_gap"] is None  # the kamikazes planned with it free
     said = (
-        f" The margin is with the oncoming lane occupied; with it free it is {figures['margin_lanes']['free']:.2f} m."
+        f" The margin is with the oncoming lane occupied; with it free it is {figures['margin_lanes']['free']:.3f} m."
     )
     assert said in headline(figures)
     result = read_result(tmp_path)
