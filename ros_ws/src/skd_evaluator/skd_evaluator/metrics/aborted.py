@@ -148,7 +148,7 @@ def aborted_lines(figures: Figures) -> list[str]:
             how = "hit in it" if one.aborted == 1 else "hit in all of them"
             would, is_now = f"{100 * worst.value:.1f} %", f"{100 * value:.1f} %"
             if one.figure.startswith("objectives."):
-                how, would, is_now = f"{how} without any deviation", f"{worst.value:.2f} m", f"{value:.2f} m"
+                how, would, is_now = f"{how} without any deviation", f"{worst.value:.3f} m", f"{value:.3f} m"
             said += f"; if the car had {how}, {one.label} would be {would} in place of {is_now}"
         found.append(said)
     return found
