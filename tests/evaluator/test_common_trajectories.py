@@ -58,6 +58,9 @@ def test_a_margin_that_is_too_high_is_corrected(results):
     assert (np.concatenate(first.groups["margin"]) <= np.concatenate(deep.groups["margin"])).all()
     assert lines[-1].startswith(f"{shallow.folder}: trajectories that were found for {deep.folder} lower its margin")
     assert any("lower its margin" in line for line in check_not_worse(Path(shallow.folder), deep).remarks)
+    unchanged = check_not_worse(Path(shallow.folder), shallow)  # although it is an upper bound
+    assert unchanged.passed
+    assert unchanged.text == "no difference: the same in every trial"
 
 
 @pytest.mark.parametrize("pair", [("deep", "deep, other seed"), ("deep, other seed", "shallow"), ("deep", "shallow")])

@@ -18,6 +18,7 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.gate import Gate
 from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
+from skd_evaluator.metrics.price_of_caution import HORIZON, HarmlessRun, PriceOfCaution
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import figure_rows
 from skd_evaluator.report.presentation import junit_xml, markdown
@@ -75,7 +76,9 @@ def test_no_gate_passes_with_figures_that_are_not_credible(result):
 
 
 def test_a_car_that_stands_has_no_price(result):
-    stands = {**result, "deadlock": 1.0, "time_lost": 0.0, "time_lost_ci95": [0.0, 0.0]}
+    price = PriceOfCaution((HarmlessRun("waits", HORIZON, HORIZON, 6.0, braked=False),) * 2)
+    assert (price.time_lost, price.mean("deadlock")) == (None, 1.0)
+    stands = {**result, "deadlock": 1.0, "time_lost": None, "time_lost_ci95": None}
     assert "| price of caution (s) | —, never passes, on the empty road either | — | — |" in markdown(stands, [])
     assert [row.value for row in figure_rows(stands) if row.name == "price of caution (s)"] == ["never passes"]
 

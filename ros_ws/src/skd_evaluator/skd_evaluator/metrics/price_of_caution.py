@@ -116,6 +116,11 @@ class PriceOfCaution:
         return [VALUES[name](one) for one in self.runs]
 
     @property
+    def time_lost(self) -> float | None:
+        """Mean time lost, s; None of a car that never passes, on the empty road either: it has none to lose."""
+        return self.mean("time_lost") if any(one.undisturbed < HORIZON for one in self.runs) else None
+
+    @property
     def lanes_left(self) -> tuple[float, float] | None:
         """In which share of the runs the car leaves its lane, and for how long, s; None: in none."""
         return lanes_left([one.lane_left for one in self.runs])

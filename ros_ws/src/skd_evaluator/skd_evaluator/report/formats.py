@@ -60,7 +60,7 @@ class Style:
 
     def value(self, figure: Figure, result: Mapping[str, Any]) -> str:
         """Return a figure of an assessment; of one that is spoken, its text."""
-        found = _known(figure.key, result, figure.key)
+        found = result.get(figure.key)
         if figure.spoken:
             return bounded(result, str(result[f"{figure.key}_text"] or self.nothing))
         if figure.key in UPPER_BOUNDS and found is not None:
@@ -78,7 +78,7 @@ class Style:
     def _around(self, figure: Figure, result: Mapping[str, Any], end: str) -> str:
         if figure.spoken:
             return spoken_interval(result, f"{figure.key}_{end or CI95}_text") or self.nothing
-        return self._of_kind(figure, _known(figure.key, result, f"{figure.key}_{end}") if end else None)
+        return self._of_kind(figure, result.get(f"{figure.key}_{end}") if end else None)
 
     def _of_kind(self, figure: Figure, found: Value) -> str:
         kind = figure.kind
@@ -86,14 +86,9 @@ class Style:
         return write(found, kind.digits)
 
 
-def _known(figure: str, result: Mapping[str, Any], key: str) -> Any:
-    """Return what stands under a key of a figure; None of the time lost by a car that never passes anyhow."""
-    return None if figure == "time_lost" and never_passes(result) else result.get(key)
-
-
 def never_passes(result: Mapping[str, Any]) -> bool:
     """Return whether a car stands on the empty road, too: there is no time that it could lose."""
-    return result.get("deadlock") == 1.0 and result["time_lost"] == 0.0
+    return result.get("deadlock") == 1.0 and result["time_lost"] is None
 
 
 PAGE = Style(NOTHING, "{} to {}", "−")

@@ -153,7 +153,9 @@ def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car:
     if result is not None:
         properties = ElementTree.SubElement(suite, "properties")
         for figure in shown_in("junit"):
-            value = str(result.get(figure.key))
+            if result.get(figure.key) is None:
+                continue
+            value = str(result[figure.key])
             value = bounded(result, value) if figure.key == "equivalent_multiplier_text" else value
             ElementTree.SubElement(properties, "property", {"name": figure.key, "value": _plain(value)})
     for number, one in enumerate(checks):
