@@ -87,6 +87,7 @@ def test_a_class_of_a_file_is_found_by_its_path_and_two_files_of_one_name_are_tw
         ("car.py:Fails", r"controller car.py:Fails.* RuntimeError: no model file"),
         ("car.py:constant", r"controller car.py:constant.* TypeError"),
         ("car:Car", r"No module named 'car'; .*; did you mean car.py:Car\?$"),
+        ("./car:Car", r"did you mean ./car.py:Car\?$"),
         ("absent:Car", r"No module named 'absent'; is it installed, or on PYTHONPATH\?$"),
         ("nothing.py:Car", "nothing.py: there is no such file"),
         ("nothing.py", "nothing.py: there is no such file"),

@@ -137,9 +137,7 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
     """
     path = Path(path)
     if not path.exists():  # a misspelt name of a kind looks like a path, too
-        raise UsageError(
-            f"{path}: cannot be read: no such file or folder, nor one of synthetic, own, walkers, regulatory"
-        )
+        raise UsageError(f"{path}: no such file or folder for --safe, nor one of synthetic, own, walkers, regulatory")
     values, lines = read_table(path, _COLUMNS)
     return safe_trajectory(values[:, 0], values[:, 1:], scenario, path, lines)
 
