@@ -66,6 +66,11 @@ def test_a_campaign_whose_episodes_are_not_answered_ends(replay: EpisodeSpec) ->
         failures.note(log)
     with pytest.raises(AssessmentError, match=r"10 episodes in a row were not answered, the last one so: .*it hangs"):
         failures.note(silent)
+    twice = dataclasses.replace(silent, reason=abort_reason(AbortKind.ANSWERED_TWICE, "publish once"))
+    for log in [twice, twice, slipped, twice, twice]:
+        failures.note(log)
+    with pytest.raises(AssessmentError, match=r"3 episodes in a row failed, the last one so: .*publish once"):
+        failures.note(twice)
 
 
 def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: EpisodeSpec) -> None:

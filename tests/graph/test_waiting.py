@@ -41,6 +41,7 @@ def graph(domain: int) -> Iterator[Graph]:
     rclpy.init(args=[], context=theirs)
     watcher, stack = rclpy.create_node("watcher"), rclpy.create_node("stack", context=theirs)
     watcher.create_publisher(Odometry, "ego/odometry", STREAM)
+    watcher.create_publisher(Odometry, "adversary/odometry", STREAM)
     watcher.create_publisher(LaserScan, "ego/scan", STREAM)
     watcher.create_publisher(Clock, "/clock", STREAM)
     executor = SingleThreadedExecutor()
@@ -102,6 +103,11 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
     ),
     "hears nothing": (
         (COMMANDS_IT, listens(Odometry, "/odom")),
+        "/stack listens to /odom, where no node publishes: remap it (-r odom:=/ego/odometry)",
+        {},
+    ),
+    "hears nothing of the car": (
+        (COMMANDS_IT, listens(Odometry, "/odom"), listens(Odometry, "/adversary/odometry")),
         "/stack listens to /odom, where no node publishes: remap it (-r odom:=/ego/odometry)",
         {},
     ),

@@ -347,14 +347,15 @@ class AbortedEpisodes:
         """Take note of an episode.
 
         Raises:
-            AssessmentError: it is the last of several in a row that were not answered, or never began.
+            AssessmentError: it is the last of several in a row that were not answered, or twice, or never began.
         """
         if log.outcome != Outcome.ABORTED:
             self._failed_starts = self._unanswered = 0
             return
         self.reasons.append(log.reason)
-        self._failed_starts = 0 if len(log.adversary) > 1 else self._failed_starts + 1
         kind = kind_of(log.reason)
+        fails_always = len(log.adversary) <= 1 or kind == AbortKind.ANSWERED_TWICE
+        self._failed_starts = self._failed_starts + 1 if fails_always else 0
         self._unanswered = self._unanswered + 1 if kind == AbortKind.NO_ANSWER else 0
         if kind not in self._said:
             self._said.add(kind)

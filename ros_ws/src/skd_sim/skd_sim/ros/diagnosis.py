@@ -123,6 +123,7 @@ _STATES = (
     Topic.TF,
 )
 """Topics by which a stack sees the car, or whom it may hit."""
+_OF_ADVERSARY = (Topic.ADVERSARY_ODOMETRY, Topic.ADVERSARY_DETECTIONS)
 _NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
 _POLICIES = {"effort": "reliability", "volatile": "durability", "deadline": "deadline", "live": "liveliness"}
@@ -255,7 +256,9 @@ def diagnose(evidence: Evidence) -> Diagnosis:
 
 def _no_adversary(seen: Evidence) -> str | None:
     topic = seen.awaited.topic
-    return None if seen.publishers or topic != seen.full(Topic.VELOCITY_COMMAND) else f"no node publishes on {topic}"
+    if topic != seen.full(Topic.VELOCITY_COMMAND):
+        return None
+    return _silent(seen) if seen.publishers else f"no node publishes on {topic}"
 
 
 def _type(seen: Evidence) -> str | None:
@@ -350,8 +353,8 @@ def _arrives_elsewhere(seen: Evidence) -> str | None:
 
 
 def _hears_nothing(seen: Evidence) -> str | None:
-    """Of a stack that listens to topics where no node publishes, and to none by which it could see anything."""
-    states = {seen.full(topic) for topic in _STATES}
+    """Of a stack that listens to topics where no node publishes, and to none by which it could see the car."""
+    states = {seen.full(topic) for topic in _STATES if topic not in _OF_ADVERSARY}
     if any(states & topics.keys() for topics in seen.listening.values()):
         return None
     return _unpublished(seen)

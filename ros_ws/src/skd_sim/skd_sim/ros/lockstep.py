@@ -32,8 +32,8 @@ class Senders:
         """Return, in words, which nodes they are where several live; none where at most one does."""
         return None
 
-    def absence(self) -> str:
-        """Return why nothing can come, where `count` is 0."""
+    def diagnosis(self) -> str:
+        """Return, in words, why nothing comes, and what mends it; empty where it is not known."""
         return ""
 
 
@@ -89,9 +89,10 @@ class CommandSource:
         same = self.answers[stamp] == answer
         if same and stamp == start:
             return None
-        how = "with the same command" if same else "with different commands"
-        said = f"{self.who} ({self.topic}) answered the tick at {_seconds(stamp - start)} of the episode twice, {how}"
-        return self.crowd() or abort_reason(AbortKind.SECOND_SENDER, said)
+        what = "the same command" if same else "different commands"
+        said = f"{self.who} ({self.topic}) gave {what} at {_seconds(stamp - start)} of the episode"
+        remedy = "Publish once per stamp: wait until both odometries have the same stamp"
+        return self.crowd() or abort_reason(AbortKind.ANSWERED_TWICE, f"{said}. {remedy}")
 
     def crowd(self) -> str | None:
         """Return which senders there are where they are several, as a reason; none where there is one at most."""
@@ -115,8 +116,10 @@ class CommandSource:
                 f"awaited {_seconds(awaited)}); stamps {stamp_fault(self._newest, awaited)}",
             )
         if not self.senders.count():
-            return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")
+            return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.diagnosis()}")
         how = f"; it has answered {len(self.answers)} times before, and hangs" if self.answers else ""
+        if not self.answers and tick == 0 and slowest == 0.0 and (known := self.senders.diagnosis()):
+            how = f". {known}"
         if len(self.answers) == 1:  # the first state is repeated, so that it is not known how long its answer took
             how = f"; it has answered once: it hangs, or is too slow for -p command_timeout:={limit:g}"
         if slowest > _SLOW * limit:

@@ -255,8 +255,8 @@ def _detection(track: str, body: Body, state: RoadUserState) -> Any:
 class _Publishers(lockstep.Senders):
     """Which nodes publish on a topic of commands, as the middleware sees it."""
 
-    def __init__(self, node: Node, subscription: Any) -> None:
-        self._node, self._subscription = node, subscription
+    def __init__(self, node: Node, subscription: Any, *, by_stamp: bool = True) -> None:
+        self._node, self._subscription, self._by_stamp = node, subscription, by_stamp
 
     def count(self) -> int:
         return int(self._subscription.get_publisher_count())
@@ -264,9 +264,9 @@ class _Publishers(lockstep.Senders):
     def crowd(self) -> str | None:
         return second_publisher(self._node, self._subscription.topic_name)
 
-    def absence(self) -> str:
+    def diagnosis(self) -> str:
         awaited = Awaited(self._subscription.topic_name, kind_name(self._subscription.msg_type))
-        return diagnose(Evidence(self._node, awaited)).text
+        return diagnose(Evidence(self._node, awaited, by_stamp=self._by_stamp)).text
 
 
 class GraphSimulator:
@@ -333,7 +333,10 @@ class GraphSimulator:
             linear = message.twist.linear
             self.walk(from_stamp(message.header.stamp), (linear.x, linear.y))
 
-        drives = _Publishers(node, node.create_subscription(commands.kind, topic, on_command, STREAM))
+        real_time = values["pacing"] == REAL_TIME
+        by_stamp = not (real_time or values["quiet_time"])
+        heard = node.create_subscription(commands.kind, topic, on_command, STREAM)
+        drives = _Publishers(node, heard, by_stamp=by_stamp)
         walks = lockstep.Senders()
         if alone:
             walks = _Publishers(
@@ -342,7 +345,6 @@ class GraphSimulator:
         low, high = -values["maximum_deceleration"], values["maximum_acceleration"]
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
         self._yaw_rate = commands.format.is_yaw_rate
-        real_time = values["pacing"] == REAL_TIME
         if real_time and values["quiet_time"]:
             raise UsageError("quiet_time goes with --pacing lockstep: real time does not wait")
         return lockstep.Lockstep(

@@ -253,7 +253,8 @@ class AbortKind(StrEnum):
     ENDED = "process ended"  # by itself, or killed
     NOT_FINITE = "not a finite number"
     WRONG_STAMP = "wrong stamp"  # an answer to another tick
-    SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
+    SECOND_SENDER = "second sender"  # more than one who answers
+    ANSWERED_TWICE = "answered twice"  # by one sender
     REFUTED = "refuted"  # by where car and adversary were
     SLIPPED = "pacing slipped"  # the simulator did not keep real time
     FAILED = "failed"  # it said so itself
