@@ -7,6 +7,7 @@ import pytest
 from skd_evaluator.report.charts import (
     charted,
     coloured,
+    comparison_charts,
     pareto,
     price_chart,
     priced_cars,
@@ -14,7 +15,7 @@ from skd_evaluator.report.charts import (
     rating_chart,
     vulnerability_chart,
 )
-from skd_evaluator.report.html.page import by_scenario, matrix_of, render
+from skd_evaluator.report.html.page import by_scenario, matrix_of, ranking_notes, render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 
 
@@ -50,6 +51,18 @@ def test_cars_that_do_not_get_past_stand_beside_the_line(sweep):
     assert {row["car"] for row in line} <= {row["car"] for row in points}
     (row,) = [row for row in hollow if row["car"] == "stuck"]
     assert (row["y"], row["lost"], row["note"]) == (24.5, 24.0, "does not get past people")
+    assert all(layer["data"]["values"] for layer in price_chart([stuck])["layer"])  # else Vega warns
+
+
+def test_a_car_that_is_not_credible_is_hollow_and_not_ranked(sweep):
+    first, second = read_subjects([sweep])
+    figures = {**first.figures, "margin": 5.0, "warnings": ["not credible: it stands"]}
+    cars = [first, second, replace(first, label="strange", figures=figures)]
+    ranked, said = ranking_notes(cars)
+    assert "strange" not in ranked
+    assert said == "What is said of strange is not credible: its warnings say why."
+    *_, points, hollow = (layer["data"]["values"] for layer in comparison_charts(cars)[0]["layer"])
+    assert [[row["car"] for row in rows] for rows in (points, hollow)] == [[first.label, second.label], ["strange"]]
 
 
 def test_many_cars_are_named_at_their_points(sweep):

@@ -139,6 +139,8 @@ def test_the_player_moves(opened, subjects):
     opened.page.click("#play")
     opened.page.locator("#play", has_text="play").wait_for()  # it has come to its end
     assert opened.page.evaluate(place) == at_end
+    opened.page.click("#charts summary")
+    opened.page.locator("#distances svg > line[y1='30'][x1]").wait_for(state="attached")  # the time is marked at once
     opened.page.click("#next")
     assert opened.text("#command") != command
     assert opened.page.locator("#table tr.chosen").inner_text().startswith("▶ 4")
@@ -146,7 +148,7 @@ def test_the_player_moves(opened, subjects):
 
 def test_it_fits_every_screen_and_paper(browser, file):
     backgrounds = set()
-    for width, scheme in ((400, "dark"), (800, "light"), (1600, "light")):
+    for width, scheme in ((400, "dark"), (800, "light"), (1280, "light")):
         other = open_page(browser, file, width, scheme)
         assert other.page.evaluate("document.documentElement.scrollWidth") <= width
         other.page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")

@@ -22,8 +22,11 @@ from skd_evaluator import palette
 from skd_evaluator.assessment.compare.comparison import MARGIN
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, SHARE, Figure, shown_in
 from skd_evaluator.assessment.files.results import StoredResult
+from skd_evaluator.metrics.aborted import not_credible
+from skd_evaluator.metrics.margins import UPPER_BOUNDS
 from skd_evaluator.metrics.price_of_caution import stored_price
 from skd_evaluator.metrics.risks import SCALES
+from skd_evaluator.report.formats import NOTHING
 from skd_evaluator.report.html.subjects import Subject, scenarios_of
 
 _AIR = 1.15
@@ -108,7 +111,7 @@ def _drawn(layers: Sequence[alt.Chart], height: int, description: str) -> Spec:
     """Return a chart as wide as its place, `height` px high; the page's script has its theme."""
     fit = alt.AutoSizeParams(type="fit-x", contains="padding")
     alt.data_transformers.consolidate_datasets = False  # rows stand where they are drawn
-    chart = alt.LayerChart(layer=list(layers))
+    chart = alt.LayerChart(layer=[one for one in layers if one.data.values])  # of none Vega warns
     found: Spec = chart.properties(width="container", height=height, autosize=fit, description=description).to_dict()
     del found["config"]
     return found
@@ -122,6 +125,21 @@ def _tooltip(**titles: tuple[str, str] | str) -> list[alt.Tooltip]:
     """Return lines of a tooltip: field=title, or field=(title, format)."""
     lines = ((name, (one, "") if isinstance(one, str) else one) for name, one in titles.items())
     return [alt.Tooltip(f"{name}:{'Q' if form else 'N'}", title=title, format=form) for name, (title, form) in lines]
+
+
+def _hollow(figures: Mapping[str, Any], key: str = MARGIN) -> str:
+    """Return why the point of a figure is hollow: its car is not credible, or it is an upper bound; else `NOTHING`."""
+    if not_credible(figures.get("warnings") or ()):
+        return "not credible"
+    return "margin at most" if key in UPPER_BOUNDS and figures.get("margin_converged") is False else NOTHING
+
+
+def _points(rows: Sequence[Mapping[str, Any]], **shown: Any) -> list[alt.Chart]:
+    """Return the points of rows, hollow where these have a note."""
+    solid, hollow = (_of(row for row in rows if (row["note"] == NOTHING) is plain) for plain in (True, False))
+    dot: Spec = {"size": 75, "opacity": 1}
+    points = solid.mark_point(filled=True, **dot), hollow.mark_point(filled=False, strokeWidth=2, **dot)
+    return [one.encode(**shown) for one in points]
 
 
 def _by_car(channel: type[Any], cars: Sequence[ChartedCar], values: Sequence[Any], **legend: Any) -> Any:
@@ -300,6 +318,7 @@ def _compared(cars: Sequence[ChartedCar], figure: Figure) -> list[dict[str, Any]
         low, high = by_phi or one.figures.get(f"{key}_{figure.independent}") or (value, value)
         independent = "trials or pairs taken as independent" if figure.independent else "not known"
         row = {"car": one.label, "kind": one.kind, "C": one.figures["multiplier"], "value": scale * value}
+        row["note"] = _hollow(one.figures, key)
         rows.append({**row, "low": scale * low, "high": scale * high, "of": "by φ" if by_phi else independent})
     return rows
 
@@ -312,18 +331,18 @@ def _comparison(cars: Sequence[ChartedCar], figure: Figure, named: str, *, again
     kinds = list(dict.fromkeys(str(one["kind"]) for one in rows))
     legend = None if kinds == [""] else alt.Legend(title=named or None, symbolLimit=0, labelLimit=260)
     shape = alt.Shape("kind:N", legend=legend).scale(domain=kinds, range=list(palette.SHAPES[: len(kinds)]))
-    said = _tooltip(car="car", value=(title, ".3f"), low=("95 % from", ".3f"), high=("to", ".3f"), of="interval")
-    dot: Spec = {"filled": True, "size": 70, "opacity": 1}
+    said = _tooltip(
+        car="car", value=(title, ".3f"), low=("95 % from", ".3f"), high=("to", ".3f"), of="interval", note="note"
+    )
     if against:
         value, low = (alt.Y(f"{name}:Q", title=title).scale(zero=zero) for name in ("value", "low"))
         colour = alt.Color("kind:N", legend=legend).scale(domain=kinds, range=list(palette.SERIES[: len(kinds)]))
-        base = _of(rows).encode(
-            x=alt.X("C:Q", title="multiplier C of the basic controller").scale(zero=False, padding=12), color=colour
-        )
+        x = alt.X("C:Q", title="multiplier C of the basic controller").scale(zero=False, padding=12)
+        base = _of(rows).encode(x=x, color=colour)
         layers = [
             base.mark_line(strokeWidth=1.2, opacity=0.6).encode(y=value),
             base.mark_rule(strokeWidth=2).encode(y=low, y2="high:Q"),
-            base.mark_point(**dot).encode(y=value, shape=shape, tooltip=said),
+            *_points(rows, x=x, y=value, color=colour, shape=shape, tooltip=said),
         ]
         return _drawn(layers, 260, f"{title}, with 95 % intervals")
     right, left = (alt.X(f"{name}:Q", title=title).scale(zero=zero).axis(tickCount=6) for name in ("value", "low"))
@@ -331,10 +350,10 @@ def _comparison(cars: Sequence[ChartedCar], figure: Figure, named: str, *, again
     names = alt.Axis(labelExpr="split(replace(datum.label, ' (', '\\n('), '\\n')", labelLimit=_NAME)
     labels = [one.label for one in cars]
     colours = alt.Color("car:N", legend=None).scale(domain=labels, range=[one.colour for one in cars])
-    base = _of(rows).encode(y=alt.Y("car:N", title=None, sort=labels, axis=names), color=colours)
+    y = alt.Y("car:N", title=None, sort=labels, axis=names)
     layers = [
-        base.mark_rule(strokeWidth=2).encode(x=left, x2="high:Q"),
-        base.mark_point(**dot).encode(x=right, shape=shape, tooltip=said),
+        _of(rows).mark_rule(strokeWidth=2).encode(x=left, x2="high:Q", y=y, color=colours),
+        *_points(rows, x=right, y=y, color=colours, shape=shape, tooltip=said),
     ]
     return _drawn(layers, 60 + _ROW * len(cars), f"{title}, with 95 % intervals")
 
@@ -421,7 +440,7 @@ def save_comparison(folder: Path, results: Mapping[str, StoredResult], ranked_by
     )
     rated = same and all(has_risks(one.figures) for one in cars)
     if rated and all(one.figures["risk"]["behaviour"] == first.figures["risk"]["behaviour"] for one in cars):
-        title = "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below"
+        title = f"Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below\n{HOLLOW}"
         save_charts(folder / "rating.png", [rating_chart(cars, scale) for scale in SCALES], title)
     if same and all(has_price(one.figures) for one in cars):
         save_charts(folder / "price.png", [price_chart(cars)], f"Margin against the price of caution.\n{PRICE_CAPTION}")
@@ -434,7 +453,8 @@ def rating_chart(cars: Sequence[ChartedCar], scale: float) -> Spec:
     for one in cars:
         value, low, high = risk_of(one.figures, scale)
         risk = {"y": max(floor, value), "y_low": max(floor, low), "y_high": max(floor, high), "value": value}
-        rows.append({**_margin_row(one), **risk, "interval": f"{low:.2g} to {high:.2g}"})
+        interval = f"{low:.2g} to {high:.2g}"
+        rows.append({**_margin_row(one), **risk, "interval": interval, "note": _hollow(one.figures)})
     basic = {row["C"]: row for row in rows if row["C"] is not None}
     line = [{**basic[multiplier], "order": multiplier} for multiplier in sorted(basic)] if len(basic) > 1 else []
     decades = [float(f"1e{power}") for power in range(round(math.log10(floor)), 1)]
@@ -444,15 +464,14 @@ def rating_chart(cars: Sequence[ChartedCar], scale: float) -> Spec:
         .axis(format="~g", values=decades)
         for name in ("y", "y_low")
     )
-    said = _tooltip(car="car", margin=("margin (m)", ".3f"), value=("risk", ".2~g"), interval="95 %")
+    said = _tooltip(car="car", margin=("margin (m)", ".3f"), value=("risk", ".2~g"), interval="95 %", note="note")
     joined = _of(line).mark_line(strokeWidth=1.2, color=palette.BEHIND)
-    layers = _against_margin(cars, rows, [], joined, y, low_end, said)
-    return _drawn(layers if line else layers[1:], 280, f"Margin against R({scale:g}), with 95 % intervals")
+    layers = _against_margin(cars, rows, joined, y, low_end, said)
+    return _drawn(layers, 280, f"Margin against R({scale:g}), with 95 % intervals")
 
 
-PRICE_CAPTION: Final = (
-    "Grey: the best margin for each price. Hollow: cars that do not get past people, or whose margin is an upper bound"
-)
+HOLLOW: Final = "Hollow: cars that are not credible, or whose margin is an upper bound"
+PRICE_CAPTION: Final = f"Grey: the best margin for each price. {HOLLOW}, or that do not get past people"
 
 
 def price_chart(cars: Sequence[ChartedCar]) -> Spec:
@@ -461,33 +480,32 @@ def price_chart(cars: Sequence[ChartedCar]) -> Spec:
     Many cars have their names beside their points.
     """
     rows: list[dict[str, Any]] = []
-    left_out: list[dict[str, Any]] = []
     for one in cars:
         price = stored_price(one.figures)
         assert price is not None
         mean = price.mean("late")
         low, high = price.ci95("late") or (mean, mean)
-        note = "does not get past people" if price.does_not_get_past else ""
-        note = note or ("margin at most" if one.figures["margin_converged"] is False else "")
+        note = "does not get past people" if price.does_not_get_past else _hollow(one.figures)
         lost, slow = map(price.mean, ("time_lost", "slow"))
         late = {"y": mean, "y_low": low, "y_high": high, "lost": lost, "slow": slow}
-        (left_out if note else rows).append({**_margin_row(one), **late, "note": note or "–"})
+        rows.append({**_margin_row(one), **late, "note": note})
     title = "later past a harmless road user than at the start speed (s)"
     y, low_end = (alt.Y(f"{name}:Q", title=title) for name in ("y", "y_low"))
     said = _tooltip(
         car="car", margin=("margin (m)", ".3f"), y=("price (s)", ".2f"), lost=("time lost (s)", ".2f"),
         slow=("slow by (s)", ".2f"), note="note",
     )  # fmt: skip
-    line = _of({**row, "order": row["margin"]} for row in pareto(rows)).mark_line(
+    best = pareto([row for row in rows if row["note"] == NOTHING])
+    line = _of({**row, "order": row["margin"]} for row in best).mark_line(
         strokeWidth=1.5, color=palette.BEHIND, interpolate="step-before"
     )
     if len(cars) <= _NAMED:
-        layers = _against_margin(cars, rows, left_out, line, y, low_end, said)
+        layers = _against_margin(cars, rows, line, y, low_end, said)
     else:
-        named = sorted([*rows, *left_out], key=lambda row: row["margin"])
+        named = sorted(rows, key=lambda row: row["margin"])
         least, most = (limit(row["y"] for row in named) for limit in (min, max))
         y, low_end = (one.scale(domainMin=least - 0.3 * (most - least)) for one in (y, low_end))
-        layers = _against_margin(cars, rows, left_out, line, y, low_end, said)
+        layers = _against_margin(cars, rows, line, y, low_end, said)
         x = alt.X("margin:Q").scale(domainMin=-0.1 * named[-1]["margin"])  # room for the name of a car without margin
         for place, above in enumerate((False, True)):  # in turn: cars of the same price stand close together
             text = _of(named[place::2]).mark_text(angle=300, align="left" if above else "right", dx=9 if above else -9)
@@ -515,20 +533,17 @@ def _margin_row(one: ChartedCar) -> dict[str, Any]:
 def _against_margin(
     cars: Sequence[ChartedCar],
     rows: Sequence[Mapping[str, Any]],
-    hollow: Sequence[Mapping[str, Any]],
     line: alt.Chart,
     y: alt.Y,
     low_end: alt.Y,
     said: Sequence[alt.Tooltip],
 ) -> list[alt.Chart]:
-    """Return a line, bars of both intervals, and points, those of some rows hollow."""
+    """Return a line, bars of both intervals, and points."""
     x, left = (alt.X(f"{name}:Q", title="margin (m)").scale(zero=True).axis(tickCount=5) for name in ("margin", "low"))
-    every, colour, shape = _of([*rows, *hollow]), _colour(cars), _shape(cars)
-    shown: Spec = {"x": x, "y": y, "color": colour, "shape": shape, "tooltip": list(said)}
+    every, colour = _of(rows), _colour(cars)
     return [
         line.encode(x=x, y=y, order="order:Q"),
         every.mark_rule(strokeWidth=2).encode(x=left, x2="high:Q", y=y, color=colour),
         every.mark_rule(strokeWidth=2).encode(x=x, y=low_end, y2="y_high:Q", color=colour),
-        _of(rows).mark_point(filled=True, size=75, opacity=1).encode(**shown),
-        *([_of(hollow).mark_point(filled=False, size=75, opacity=1, strokeWidth=2).encode(**shown)] if hollow else []),
+        *_points(rows, x=x, y=y, color=colour, shape=_shape(cars), tooltip=list(said)),
     ]

@@ -268,6 +268,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
     found = [_ranking(members, key) for members in groups.values() if len(members) > 1]
     if len(subjects) == 2 and found:
         found = [_verdict(*subjects) or found[0]]
+    found = list(filter(None, found))
     for one in subjects if len(subjects) > 1 else ():  # of a single one that stands in the sentence about it
         if said := credibility(one.figures["warnings"]):
             found.append(f"What is said of {one.label} is {said}: its warnings say why.")
@@ -301,7 +302,10 @@ def _bounded(one: Subject, key: str) -> str:
 
 def _ranking(members: Sequence[Subject], key: str) -> str:
     name = AT_THE_TOP[key].label
-    ordered = sorted(members, key=lambda one: float(one.figures[key]))
+    credible = [one for one in members if not credibility(one.figures["warnings"])]
+    if len(credible) < 2:
+        return ""
+    ordered = sorted(credible, key=lambda one: float(one.figures[key]))
     passing = [one for one in ordered if not does_not_get_past(one.figures)]
     ranked, which = (passing, " of cars that get past people") if 1 < len(passing) < len(ordered) else (ordered, "")
     last, first = ranked[-1], ranked[0]

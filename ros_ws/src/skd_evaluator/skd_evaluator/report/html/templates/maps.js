@@ -28,7 +28,7 @@ function drawHits(data, episode, turned) {
   document.getElementById("hits").replaceChildren(picture.svg);
   const times = mine.map((one) => one.time).sort((a, b) => a - b);
   document.getElementById("hits-caption").textContent = times.length
-    ? `${times.length.toLocaleString("en")} hits, ${fixed(times[0], 1)} to ${fixed(times.at(-1), 1)} s after the start, half of them by ${fixed(times[Math.floor(times.length / 2)], 1)} s. The ring is the episode in the player.`
+    ? `${times.length.toLocaleString("en")} hits of planned kamikazes and runs along φ, ${fixed(times[0], 1)} to ${fixed(times.at(-1), 1)} s after the start, half of them by ${fixed(times[Math.floor(times.length / 2)], 1)} s. The ring is the episode in the player.`
     : "No episode of this car ended in a hit.";
   for (const one of document.querySelectorAll(".of-least")) one.hidden = !ends.length;
   for (const one of document.querySelectorAll(".of-hits")) one.hidden = !places.length;

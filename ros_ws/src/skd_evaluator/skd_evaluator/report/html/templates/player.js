@@ -15,7 +15,7 @@ class Player {
     this.previous.addEventListener("click", () => step(-1));
     this.next.addEventListener("click", () => step(1));
     this.copy.addEventListener("click", () => copyText(this.command.textContent, this.copy));
-    document.getElementById("charts").addEventListener("toggle", () => { if (this.course) this.drawCharts(); });
+    document.getElementById("charts").addEventListener("toggle", () => { if (!this.course) return; this.drawCharts(); this.set(this.now); });
   }
 
   load(episode) {
