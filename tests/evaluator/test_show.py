@@ -51,9 +51,12 @@ def test_the_worst_are_those_with_the_least_deviation(skd_here, here, result, su
 
 @pytest.mark.parametrize("words", [(*DRAW, "--worst", "1"), ("export", "--format", "csv", "--json")])
 def test_of_figures_that_are_not_credible_that_is_said(words, result, tmp_path, capsys):
-    doubtful = edited(result, tmp_path / "doubtful", warnings=[f"{NOT_CREDIBLE}it\ncounts", "harmless"])
+    doubts = [f"{NOT_CREDIBLE}it\ncounts", "harmless"]
+    doubtful = edited(result, tmp_path / "doubtful", warnings=doubts, margin_converged=False)
     assert run_skd(*words, doubtful, "--out", tmp_path / "out") == 0
-    said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
+    printed = capsys.readouterr()
+    assert ("(margin at most " in printed.out) == (words[0] == "report")
+    said = [line for line in printed.err.splitlines() if "it counts" in line or "harmless" in line]
     assert said == [f"skd {words[0]}: warning: {NOT_CREDIBLE}it counts"]
 
 

@@ -21,7 +21,7 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import finish
 from skd_evaluator.metrics.surrogate_measures import episode_measures
 from skd_evaluator.metrics.surrogate_scenes import course_of
-from skd_evaluator.report.formats import KeptFailure, kept_failures
+from skd_evaluator.report.formats import KeptFailure, bounded, kept_failures
 from skd_evaluator.report.html.subjects import Subject, believed_car, chosen_episodes, episode_entry, read_one
 from skd_evaluator.report.pictures import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossing
@@ -135,7 +135,8 @@ def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:
     name = figures["per_safe_trajectory"][int(episodes.safe_index[number])]["name"]
     objective = str(episodes.objective[number])
     who = f"kamikaze of objective {objective}" if objective else kept[number].text if kept else "along φ"
-    margin = "" if figures["margin"] is None else f" (margin {figures['margin']:.3f} m)"
+    least = figures["margin"]
+    margin = "" if least is None else f" (margin {bounded(figures, f'{least:.3f}')} m)"
     ended = Outcome(int(episodes.outcome[number])).name.lower()
     if episodes.collided[number]:
         ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deviation {episodes.deviation[number]:.2f} m"
