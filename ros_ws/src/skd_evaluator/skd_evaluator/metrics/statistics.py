@@ -77,15 +77,15 @@ def score_interval(rate: float, trials: float, quantile: float) -> Interval:
     return low, high
 
 
-def jeffreys_interval(successes: int, trials: int, confidence: float = 0.95) -> Interval | None:
-    """Return Jeffreys's interval for a proportion (Brown, Cai and DasGupta, Statistical Science 16, 2001).
+def jeffreys_interval(successes: int, trials: int) -> Interval | None:
+    """Return Jeffreys's 95 % interval for a proportion (Brown, Cai and DasGupta, Statistical Science 16, 2001).
 
-    Of rare events it holds 95 %, where Wilson's interval misses one seen by chance. Arguments and what is returned are
+    Of rare events it holds 95 %, where Wilson's interval misses one seen by chance. Counts and what is returned are
     those of `wilson_interval`.
     """
-    tail, prior = 0.5 * (1.0 - checked_confidence(confidence)), (successes + 0.5, trials - successes + 0.5)
-    low = float(scipy.special.betaincinv(*prior, tail)) if successes else 0.0
-    high = float(scipy.special.betaincinv(*prior, 1.0 - tail)) if successes < trials else 1.0
+    posterior = successes + 0.5, trials - successes + 0.5
+    low = float(scipy.special.betaincinv(*posterior, 0.025)) if successes else 0.0
+    high = float(scipy.special.betaincinv(*posterior, 0.975)) if successes < trials else 1.0
     return (low, high) if trials else None
 
 

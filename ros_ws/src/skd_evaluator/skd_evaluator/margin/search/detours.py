@@ -18,7 +18,7 @@ from skd_sim.world.world import first_car_state
 
 from skd_evaluator.margin.search.candidates import ActionSpace
 
-_TURNS = 0.5  # m by which the path that a car takes in a tick may be off a straight line
+_BEND = 0.5  # m by which the path of a car in a tick may be off a straight line
 
 
 def undisturbed_car(episode: EpisodeSpec) -> FloatArray:
@@ -87,7 +87,7 @@ def _best_detour(
     """Return deviation, tick in which a trajectory is left (−1: never), action, and for how many ticks."""
     step, hit_speed, bound = limits
     reach = shape[0] if shape[0] > 0.0 else math.hypot(shape[1], shape[2])
-    touching = math.hypot(max(footprint[0], footprint[1]), footprint[2]) + reach + _TURNS
+    touching = math.hypot(max(footprint[0], footprint[1]), footprint[2]) + reach + _BEND
     fastest = 0.0
     for velocity in table.reshape(-1, 2):
         fastest = max(fastest, velocity[0] ** 2 + velocity[1] ** 2)
@@ -128,7 +128,7 @@ def _best_detour(
 
 @kernel
 def _may_meet(user: FloatArray, cars: FloatArray, touching: float, step: float, fastest: float) -> bool:
-    """Return whether a road user who goes anywhere from the first tick on can be so near (m) the car in some tick."""
+    """Return whether a road user can come within `touching` (m) of the car, wherever it goes from the first tick on."""
     for tick in range(cars.shape[0] - 1):
         moved = step * (max(cars[tick, 3], cars[tick + 1, 3]) + (tick + 1) * fastest)
         if math.hypot(user[0] - cars[tick, 0], user[1] - cars[tick, 1]) <= touching + moved:

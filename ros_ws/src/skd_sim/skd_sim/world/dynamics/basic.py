@@ -198,8 +198,8 @@ def drive(
     turn, before = STEERING_RATE * duration / pieces, speed
     for piece in range(1, pieces + 1):
         then = after if piece == pieces else speed + piece / pieces * (after - speed)
-        held = _gripping(angle, before, side, wheelbase)
-        angle = _gripping(held + min(turn, max(-turn, steering - held)), then, side, wheelbase)
+        held = _within_grip(angle, before, side, wheelbase)
+        angle = _within_grip(held + min(turn, max(-turn, steering - held)), then, side, wheelbase)
         tangent = math.tan(0.5 * (held + angle))
         slip = math.atan(behind / wheelbase * tangent)
         curvature, distance = math.cos(slip) * tangent / wheelbase, travelled(before, then, duration / pieces)
@@ -210,8 +210,8 @@ def drive(
 
 
 @kernel
-def _gripping(angle: float, speed: float, side: float, wheelbase: float) -> float:
-    """Return a steering angle, or the greatest one at which tyres hold that hold so much to the side (m/s²)."""
+def _within_grip(angle: float, speed: float, side: float, wheelbase: float) -> float:
+    """Return a steering angle (rad), limited to what tyres with a lateral grip of `side` (m/s²) hold at a speed."""
     most = math.atan(wheelbase * side / (speed * speed)) if speed > 0.0 else STEERING_LIMIT
     return min(most, max(-most, angle))
 
