@@ -5,16 +5,17 @@ Where a candidate leads and how far it deviates from φ is known without the car
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from typing import NamedTuple
 
 import numpy as np
 from skd_adversary.crossing.model import choices, walked
 from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
+from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import BoolArray, FloatArray, IntArray
+from skd_sim.world.state import FloatArray, IntArray
 
 from skd_evaluator.margin.actions import velocities
 
@@ -67,7 +68,6 @@ class ActionSpace:
         self.ticks = ticks = scenario.ticks
         self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
         user = road_user_named(scenario.adversary.kind)
-        self._every = np.arange(ticks)
         self.table: FloatArray | None = None
         if user is PEDESTRIAN:
             self.table = np.array([velocities(scenario, self.path, tick) for tick in range(ticks)])
@@ -81,11 +81,7 @@ class ActionSpace:
         """Return where sequences of actions (n × ticks) lead, n × (ticks + 1) × 2, m."""
         if self.table is None:
             return walked(road_user_named(self.scenario.adversary.kind), self.scenario, self.path, sequences)
-        found = np.empty((len(sequences), self.ticks + 1, 2))
-        found[:, 0] = 0.0
-        np.cumsum(self.scenario.time_step * self.table[self._every, sequences], axis=1, out=found[:, 1:])
-        found += self.path[0]
-        return found
+        return _followed(sequences, self.table, self.path[0], self.scenario.time_step)
 
     def table_along(self, positions: FloatArray, longest: int) -> FloatArray:
         """Return the velocities of actions that are held from each tick of a trajectory (n × 2, m) on.
@@ -98,29 +94,17 @@ class ActionSpace:
 
     def candidates(self, sequences: IntArray) -> list[Candidate]:
         """Return where sequences of actions lead, n × ticks."""
-        positions = self.positions(sequences)
-        away = positions - self.phi
-        deviations = np.maximum.accumulate(np.hypot(away[..., 0], away[..., 1]), axis=1)
-        reached = np.maximum.accumulate(np.where(self._reaches(positions), self._every, -1), axis=1)
-        return list(map(Candidate, sequences, positions, deviations, reached))
+        positions, road = self.positions(sequences), self.scenario.road
+        places = positions
+        if not road.straight:
+            places = right_and_along(road.line, positions.reshape(-1, 2)).reshape(positions.shape)
+        anywhere = bool(self.scenario.others)
+        known = _deviations_and_reach(positions, self.phi, places, self.end.path_edge, self.end.loss, anywhere)
+        return list(map(Candidate, sequences, positions, *known))
 
     def candidate(self, actions: IntArray) -> Candidate:
         """Return where a sequence of actions leads."""
         return self.candidates(actions[None])[0]
-
-    def _reaches(self, positions: FloatArray) -> BoolArray:
-        """Return whether the car may drive where the road user is, in each tick of positions, n × (ticks + 1) × 2."""
-        if self.scenario.others:
-            return np.ones((len(positions), self.ticks), dtype=bool)
-        road, (low, high, first, last) = self.scenario.road, self.end.loss
-        place = positions if road.straight else right_and_along(road.line, positions.reshape(-1, 2))
-        across, along = place.reshape(positions.shape)[..., 0], place.reshape(positions.shape)[..., 1]
-        inside = np.abs(across) <= self.end.path_edge
-        lost = (low < across) & (across < high) & (first < along) & (along < last)
-        over = np.logical_or.accumulate(lost, axis=1)  # it cannot meet the car any more
-        touched = inside[:, :-1] | inside[:, 1:] | (across[:, :-1] * across[:, 1:] < 0.0)
-        reached: BoolArray = touched & ~over[:, :-1]
-        return reached
 
     def actions_along(self, positions: FloatArray) -> IntArray:
         """Return the actions that come nearest to a trajectory, positions at ticks, n × 2, m; as φ after its end."""
@@ -151,32 +135,90 @@ def excursion(rng: np.random.Generator, space: ActionSpace) -> tuple[IntArray, i
     return found, back
 
 
+@kernel
 def changed(
-    rng: np.random.Generator, space: ActionSpace, actions: IntArray, tick: int, others: Sequence[IntArray]
+    draws: FloatArray, actions: IntArray, end: int, as_phi: int, action_count: int, others: IntArray
 ) -> IntArray:
-    """Return a sequence with one or two small changes before a tick, or with the end of another one.
+    """Return sequences with one or two small changes before a tick, or with the end of another one, n × ticks.
 
     Args:
-        rng: draws the changes.
-        space: has the actions.
-        actions: the sequence.
-        tick: after which changes hardly matter: that of its contact.
-        others: sequences of other trials, at least one.
+        draws: uniform in [0, 1), n × 11.
+        actions: the sequence that is changed.
+        end: tick from which on nothing is changed.
+        as_phi: number of the action "as φ".
+        action_count: how many actions there are in a tick.
+        others: sequences of other trials, m × ticks with m ≥ 1.
     """
-    found, end = actions.copy(), min(len(actions), tick + 2)
-    draws = rng.random(11).tolist()
-    for where, much, kind, which, stays in (draws[:5], draws[5:10])[: 2 if draws[10] < 0.4 else 1]:
-        at, length, action = int(where * end), 1 + int(4.0 * much), int(which * space.action_count)
-        if kind < 1 / 3:
-            found[at : at + length] = action
-        elif kind < 1 / 2:
-            found[at : at + length] = space.as_phi
-        elif kind < 2 / 3:
-            found[at + 1 :] = found[at:-1].copy()
-            if stays < 0.5:
-                found[at] = action
-        elif kind < 5 / 6:
-            found[at:-1] = found[at + 1 :].copy()
-        else:
-            found[at:] = others[int(which * len(others))][at:]
+    found = np.empty((draws.shape[0], actions.shape[0]), np.int64)
+    for row in range(draws.shape[0]):
+        one = found[row]
+        one[:] = actions
+        for change in range(2 if draws[row, 10] < 0.4 else 1):
+            where, much, kind, which, stays = draws[row, 5 * change : 5 * change + 5]
+            at, length, action = int(where * end), 1 + int(4.0 * much), int(which * action_count)
+            if kind < 1 / 3:
+                one[at : at + length] = action
+            elif kind < 1 / 2:
+                one[at : at + length] = as_phi
+            elif kind < 2 / 3:
+                one[at + 1 :] = one[at:-1].copy()
+                if stays < 0.5:
+                    one[at] = action
+            elif kind < 5 / 6:
+                one[at:-1] = one[at + 1 :].copy()
+            else:
+                one[at:] = others[int(which * others.shape[0]), at:]
     return found
+
+
+@kernel
+def _followed(sequences: IntArray, table: FloatArray, start: FloatArray, step: float) -> FloatArray:
+    """Return where sequences of actions (n × ticks) lead from a start, n × (ticks + 1) × 2, m."""
+    count, ticks = sequences.shape
+    found = np.empty((count, ticks + 1, 2))
+    for row in range(count):
+        x = y = 0.0
+        for tick in range(ticks):
+            found[row, tick, 0], found[row, tick, 1] = x + start[0], y + start[1]
+            vx, vy = table[tick, sequences[row, tick]]
+            x, y = x + step * vx, y + step * vy
+        found[row, ticks, 0], found[row, ticks, 1] = x + start[0], y + start[1]
+    return found
+
+
+@kernel
+def _deviations_and_reach(
+    positions: FloatArray,
+    phi: FloatArray,
+    places: FloatArray,
+    edge: float,
+    loss: tuple[float, float, float, float],
+    anywhere: bool,
+) -> tuple[FloatArray, IntArray]:
+    """Return `deviations` and `reached` of candidates; see `Candidate`.
+
+    Args:
+        positions: n × (ticks + 1) × 2, m.
+        phi: (ticks + 1) × 2, m.
+        places: the positions in road coordinates, to the right and along, m.
+        edge: distance to the centre line (m) within which the road user can reach where the car may drive.
+        loss: bounds of the region from which it cannot meet the car any more, m.
+        anywhere: whether the car may drive anywhere.
+    """
+    count, ends, _ = positions.shape
+    deviations, reached = np.empty((count, ends)), np.empty((count, ends - 1), np.int64)
+    for row in range(count):
+        most, last, is_over = 0.0, -1, False
+        for tick in range(ends):
+            away = positions[row, tick, 0] - phi[tick, 0], positions[row, tick, 1] - phi[tick, 1]
+            most = max(most, math.hypot(away[0], away[1]))
+            deviations[row, tick] = most
+            if tick == ends - 1:
+                break
+            across, across_to, along = places[row, tick, 0], places[row, tick + 1, 0], places[row, tick, 1]
+            is_over = is_over or (loss[0] < across < loss[1] and loss[2] < along < loss[3])
+            touches = abs(across) <= edge or abs(across_to) <= edge or across * across_to < 0.0
+            if anywhere or (touches and not is_over):
+                last = tick
+            reached[row, tick] = last
+    return deviations, reached

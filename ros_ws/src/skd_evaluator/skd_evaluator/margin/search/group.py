@@ -58,6 +58,11 @@ class Source:
     lately_lowered: float = _PRIOR
     lately_used: float = _PRIOR
 
+    @property
+    def earns(self) -> float:
+        """Lately, m a candidate."""
+        return self.lately_lowered / self.lately_used
+
 
 class Group:
     """Trials of one φ that share what they find.
@@ -222,16 +227,20 @@ class Group:
     def _choose(self, index: int, pool: Sequence[IntArray]) -> str:
         """Return the source that was used least for what it has brought."""
         trial = self.trials[index]
-        near, own = bool(trial.near_misses), trial.actions is not None
-        able = {DETOUR: bool(self._guesses[index]), EXCURSION: True, OWN: own, NEAR_MISS: near}
-        able[OTHER] = bool(pool)
-        sources = [one for one, is_able in able.items() if is_able]
-        earned = np.array([self.sources[one].lately_lowered / self.sources[one].lately_used for one in sources])
-        shares = np.maximum(earned / earned.sum(), _LEAST)
-        used = np.array([self.sources[one].lately_used for one in sources])
-        return sources[int(np.argmin(used / shares))]
+        able = {
+            DETOUR: bool(self._guesses[index]),
+            EXCURSION: True,
+            OWN: trial.actions is not None,
+            NEAR_MISS: bool(trial.near_misses),
+            OTHER: bool(pool),
+        }
+        sources = {name: self.sources[name] for name, is_able in able.items() if is_able}
+        total = 0.0
+        for one in sources.values():
+            total += one.earns
+        return min(sources, key=lambda name: sources[name].lately_used / max(sources[name].earns / total, _LEAST))
 
-    def _made(self, source: str, index: int, pool: Sequence[IntArray]) -> list[IntArray]:
+    def _made(self, source: str, index: int, pool: Sequence[IntArray]) -> Sequence[IntArray]:
         """Return some sequences of a source."""
         trial, rng = self.trials[index], self._rng
         if source == EXCURSION:
@@ -245,7 +254,10 @@ class Group:
             actions, tick = trial.actions, trial.tick
         else:
             actions, tick = pool[int(rng.random() * len(pool))], trial.tick or self.space.ticks // 2
-        return [changed(rng, self.space, actions, tick, pool or [actions]) for _ in range(_TRIES)]
+        space, others = self.space, np.array(pool or [actions])
+        # Changes hardly matter after the tick of the contact.
+        end = min(space.ticks, tick + 2)
+        return list(changed(rng.random((_TRIES, 11)), actions, end, space.as_phi, space.action_count, others))
 
 
 def search(groups: Sequence[Group], drive: Drive) -> None:
