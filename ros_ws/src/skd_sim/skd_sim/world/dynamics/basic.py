@@ -21,7 +21,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.stream import stream_of
 from skd_sim.options.car_and_adversary import DYNAMICS
 from skd_sim.options.registry import load
-from skd_sim.scenario.road import advanced, is_straight_north, road_curvature, road_pose, road_position
+from skd_sim.scenario.road import HEADING_NORTH, advanced, is_straight_north, road_curvature, road_pose, road_position
 from skd_sim.scenario.scenario import Car, Scenario
 from skd_sim.world.state import CarState, FloatArray, Pair, draw_relative, next_speed, on_grid, travelled
 
@@ -161,8 +161,7 @@ _SAGITTA = 1e-4  # m
 
 @kernel
 def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generator) -> Pair:
-    speed_draw = draw_relative(speed_noise, rng)
-    return speed_draw, draw_relative(acceleration_noise, rng)
+    return draw_relative(speed_noise, rng), draw_relative(acceleration_noise, rng)
 
 
 @kernel
@@ -183,7 +182,7 @@ def drive(
     acceleration, steering = command
     applied = acceleration + noise[1] * acceleration
     after = next_speed(speed, applied, noise[0], duration)
-    bends = angle != 0.0 or steering != 0.0
+    bends = angle != 0.0 or steering != 0.0 or heading != HEADING_NORTH
     pieces = max(1, math.ceil(duration / _PIECE)) if bends else 1
     path = np.empty((pieces + 1, 4))
     path[0, 0], path[0, 1], path[0, 2], path[0, 3] = x, y, heading, speed
@@ -199,8 +198,10 @@ def drive(
     for piece in range(1, pieces + 1):
         then = after if piece == pieces else speed + piece / pieces * (after - speed)
         held = _within_grip(angle, before, side, wheelbase)
-        angle = _within_grip(held + min(turn, max(-turn, steering - held)), then, side, wheelbase)
-        tangent = math.tan(0.5 * (held + angle))
+        moved = min(turn, max(-turn, steering - held))
+        angle = _within_grip(held + moved, then, side, wheelbase)
+        mean = held + moved * (1.0 - 0.5 * abs(moved) / turn)  # the wheels may be there before the piece ends
+        tangent = math.tan(_within_grip(mean, 0.5 * (before + then), side, wheelbase))
         slip = math.atan(behind / wheelbase * tangent)
         curvature, distance = math.cos(slip) * tangent / wheelbase, travelled(before, then, duration / pieces)
         x, y, course = advanced(x, y, heading + slip, curvature, distance)
@@ -269,10 +270,9 @@ class BasicCar:
             self._angle = steering_angle(road_curvature(self._line, self._s), self._axles[0])
         path, self._angle = drive((*self._car,), self._angle, command, (*noise,), duration, self._axles)
         if self._curved and not self.steered:
-            speed, after = float(path[0, 3]), float(path[1, 3])
+            speed, after = float(path[0, 3]), float(path[-1, 3])
             distance = float(travelled(speed, after, duration))
             path = along_road(self._line, self._s, distance, speed, after)
             self._s += distance
-        x, y, heading, speed = path[-1].tolist()
-        self._car = CarState(x, y, heading, speed)
+        self._car = CarState(*path[-1].tolist())
         return path
