@@ -15,7 +15,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.ending import Ending
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.state import FloatArray, IntArray
+from skd_sim.world.state import FloatArray, IntArray, Pair
 
 from skd_evaluator.margin.actions import velocities
 
@@ -81,7 +81,7 @@ class ActionSpace:
         """Return where sequences of actions (n × ticks) lead, n × (ticks + 1) × 2, m."""
         if self.table is None:
             return walked(road_user_named(self.scenario.adversary.kind), self.scenario, self.path, sequences)
-        return _followed(sequences, self.table, self.path[0], self.scenario.time_step)
+        return _followed(sequences, self.table, tuple(self.path[0].tolist()), self.scenario.time_step)
 
     def table_along(self, positions: FloatArray, longest: int) -> FloatArray:
         """Return the velocities of actions that are held from each tick of a trajectory (n × 2, m) on.
@@ -172,7 +172,7 @@ def changed(
 
 
 @kernel
-def _followed(sequences: IntArray, table: FloatArray, start: FloatArray, step: float) -> FloatArray:
+def _followed(sequences: IntArray, table: FloatArray, start: Pair, step: float) -> FloatArray:
     """Return where sequences of actions (n × ticks) lead from a start, n × (ticks + 1) × 2, m."""
     count, ticks = sequences.shape
     found = np.empty((count, ticks + 1, 2))
