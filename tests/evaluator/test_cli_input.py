@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
     [
         ("--safe=phi.csv", None, ["no such file"]),
         ("--safe=phi.csv", "t,x,y\n0,-3,0\n0.3,-2,0\noops,-1,0\n", ["line 4", "t must be a number", "'oops'"]),
-        ("--scenario=scenario.yaml", None, ["citr_crossing", "crossing"]),
+        ("--scenario=scenario.yaml", None, ["skd scenarios lists all"]),
         ("--scenario=scenario.yaml", edited(car__wings=2), ["unknown key car.wings"]),
     ],
 )

@@ -14,6 +14,7 @@ from skd_evaluator.assessment.compare.comparison import (
     LESS_SAFE,
     NOT_COMPARED,
     SAFER,
+    SAME,
     compare,
     ranking_figure,
 )
@@ -134,7 +135,7 @@ def test_a_cars_own_part_of_the_scenario_may_differ() -> None:
     car = {**FIGURES["scenario"]["car"], "width": 2.0}
     found = compare(result("a", values(1)), result("b", values(1), scenario={**FIGURES["scenario"], "car": car}))
     assert found.refusals == ()
-    assert found.verdict == INCONCLUSIVE
+    assert found.verdict == SAME
     assert found.as_dict()["differences"]["margin"]["p_value"] == 1.0
 
 
@@ -292,7 +293,7 @@ def priced(name: str, margins: np.ndarray, passed: float = 6.0, **changes: Any) 
     [
         (0.0, 0.0, 5.0, "as safe, and 1.0 s quicker for each harmless road user"),
         (0.0, 0.0, 7.5, "as safe, and 1.5 s slower for each harmless road user"),
-        (0.0, 0.0, 6.0, INCONCLUSIVE),  # no price tells them apart
+        (0.0, 0.0, 6.0, SAME),
         (0.0, 0.3, 5.0, INCONCLUSIVE),  # nothing is known of their margins, which is not that they are the same
         (-0.5, 0.0, 5.0, "less safe, and 1.0 s quicker for each harmless road user"),
     ],

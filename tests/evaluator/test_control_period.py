@@ -93,7 +93,7 @@ def test_what_it_declares_goes_into_the_scenario() -> None:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("Wordy", "control_period must be a number from 0.001 to 2 (s), got something of str"),
+        ("Wordy", "control_period must be a number from 0.001 to 2 (s), got 'often'"),
         ("Never", "control_period must be a number from 0.001 to 2 (s), got 0"),
         ("Odd", "in scenario crossing: control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"),
     ],

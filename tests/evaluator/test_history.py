@@ -10,6 +10,7 @@ import pytest
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.cli.main import main
+from skd_evaluator.files import unfinished
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.history import Run, find_runs, trends_of
 
@@ -57,6 +58,7 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     written({"margin": 1.0}, tmp_path / "foreign")
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "assessment.json").write_text("{")
+    unfinished(tmp_path / "half").touch()
     assert (tmp_path / "kept" / MANIFEST).exists()
     remarks = {run.folder.name: run.remark for run in find_runs([tmp_path])}
     assert remarks["kept"] == ""
@@ -65,6 +67,7 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     captured = capsys.readouterr()
     assert f"* {tmp_path / 'forged'}: changed since it was written" in captured.out
     assert "foreign" not in captured.out
+    assert f"unfinished: {tmp_path / 'half'}; go on with: skd assess --resume {tmp_path / 'half'}" in captured.out
     assert all(f"skd list: warning: {tmp_path / name}: " in captured.err for name in ("foreign", "broken"))
     assert main(["list", str(tmp_path), "--scenario", "nowhere"]) == 2
     assert main(["list", str(tmp_path / "nothing")]) == 2
@@ -85,7 +88,7 @@ def test_a_trend_follows_each_car_by_date(sweep):
     assert [row["value"] for row in mine] == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert [row["folder"] for row in mine] == ["0", "1", "2", "3"]
     assert [row["difference"] for row in mine] == [None, 0.0, 0.0, 0.0]  # of the trials, which are the same
-    assert [row["verdict"] for row in mine[1:]] == ["inconclusive"] * 3
+    assert [row["verdict"] for row in mine[1:]] == ["the same in every trial"] * 3
     assert found[0]["confidence"] == pytest.approx(1.0 - 0.05 / 3)
     assert len(theirs) == 1
     assert lines == []

@@ -14,7 +14,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP, FIGURES, OF_OBJECT
 from skd_evaluator.assessment.files.assessment_json import assessment_schema
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.report.progress import COMPILING, progress_bar
-from skd_evaluator.report.terminal import equal_remarks, narrow_table, print_table
+from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_sim.kernels.compilation import on_compiling
 
 NOISY = """
@@ -102,15 +102,6 @@ def test_tables_are_plain_without_a_terminal(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "30")
     print_table(a_table(8))
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 30
-
-
-def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
-    one = {"margin": 0.5, "deviation": 1.0, "skd": 2.0, "nominal_collision_rate": 0.1}
-    rows = [{"name": "a", **one}, {"name": "b", **one, "skd": 2.0000001}, {"name": "c", **one}]
-    (line,) = equal_remarks(rows, "name")
-    assert line.startswith("a and c have the same figures to the last digit")
-    unknown = dict.fromkeys(one)
-    assert equal_remarks([{"name": "a", **unknown}, {"name": "b", **unknown}], "name") == []
 
 
 MEASURE = Path(__file__).parents[2] / "docs" / "metrics.md"

@@ -7,6 +7,7 @@ from comparison_support import FIGURES
 from rich.console import Console
 from skd_evaluator import Assessment, Plan
 from skd_evaluator.margin.search.search import HELD_COMMANDS, IN_PROCESS, WHOLE_EPISODES, Effort
+from skd_evaluator.report.formats import gap_basis
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_evaluator.report.warnings import figure_warnings
 from skd_sim import Mode, Outcome, load_scenario
@@ -153,8 +154,8 @@ def test_a_search_that_has_not_converged_gives_an_upper_bound(how: str, effort: 
 
 @pytest.mark.parametrize(("model", "left"), [("generic", 0.4), ("generic", None), ("learned", 0.4)])
 def test_kamikazes_that_cannot_see_a_car_leave_its_lane_are_told_of(model, left) -> None:
-    found = {"margin": 1.0, "margin_ci95": (0.8, 1.2), "margin_beyond": 0, "optimality_gap": 3.6}
+    found = {"optimality_gap": 3.6, "adversary_model": model}
     found |= {} if left is None else {"lane_left": left}  # a car that stays in its lane has none in its result
-    (line,) = figure_warnings({**RESULT, **found, "adversary_model": model})
-    assert "planned kamikazes needed 3.60 times the margin" in line
+    line = gap_basis(found)
+    assert "judge the car by its margin" in line
     assert ("--adversary-model learned" in line) == (model == "generic" and left is not None)

@@ -72,11 +72,15 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     Returns:
         The scenario with the control period that the controller declares, or that is asked for, if so.
     """
-    if not graph:
-        for one in options_of(GraphOptions):
-            if GRAPH in one.marks and values.get(one.name, one.unsaid) != one.unsaid:
-                raise UsageError(f"{one.flag} is for the node graph: add --graph")
     car = CarUnderTest(values["controller"], values["multiplier"])
+    for one in options_of(GraphOptions):
+        if values.get(one.name, one.unsaid) == one.unsaid:
+            continue
+        if EXTERNAL in one.marks and not car.is_external:
+            own = "; a Python class has the attribute control_period" if one.name == "control_period" else ""
+            raise UsageError(f"{one.flag} goes with --controller external{own}")
+        if GRAPH in one.marks and not graph:
+            raise UsageError(f"{one.flag} is for the node graph: add --graph")
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none: leave it out")
     simulator = values.get("simulator")
@@ -87,9 +91,6 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
         raise UsageError(f"--controller {car.controller} decides within simulator {car.kind.simulator}: {instead}")
     if not car.is_external:
         scenario = check_controller(car, scenario)
-        for one in options_of(GraphOptions):
-            if EXTERNAL in one.marks and values.get(one.name, one.unsaid) != one.unsaid:
-                raise UsageError(f"{one.flag} goes with --controller external")
     elif not graph:
         how = "add --graph" if "graph" in values else "skd assess --graph runs it"
         raise UsageError(f"--controller external needs the node graph: {how}")

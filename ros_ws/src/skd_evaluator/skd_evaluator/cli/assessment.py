@@ -51,7 +51,7 @@ from skd_evaluator.report.formats import counted
 from skd_evaluator.report.presentation import fill, with_scratch
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.repeat import program
-from skd_evaluator.report.warnings import PLANNED, most_frequent, warnings_of, why_failed
+from skd_evaluator.report.warnings import most_frequent, warnings_of, why_failed
 from skd_evaluator.ros.processes import GraphSetting, log_of
 from skd_evaluator.ros.session import assess_through_graph, prepare_ros
 
@@ -336,8 +336,7 @@ def print_result(
         seconds = f"{result['seconds']:.1f} s"
         more = "" if arguments.details else "; --details prints every figure, SKD among them"
         print(seconds if problem else f"{seconds}; results in {out.path}{more}")
-    shown = arguments.details or arguments.json  # planned figures
-    warn(arguments.command, [one for one in warnings_of(assessment, said=said) if shown or not one.startswith(PLANNED)])
+    warn(arguments.command, warnings_of(assessment, said=said))
     failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted, result)]
     checks = gate.checks(result, None if problem else out.path, failures)
     if len(checks) > 1 and checks[0].error and not failures:
@@ -367,13 +366,20 @@ def why_aborted(reasons: Sequence[str], logs: Path) -> str:
     return f"{counts_in_words(reasons)}; {more}"
 
 
+_ABSENT = {"risk": "risk_note", "price of caution": "price_note"}
+"""Rows that may be missing, by the key that says why."""
+
+
 def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
     print(terminal.headline(result))
     terminal.print_table(terminal.headline_table(result))
     beside = reference_text(result.get("reference") or ())
     reference = beside and f"Reference drivers: {beside}."
-    for line in filter(None, (reference, terminal.command_ages(result), terminal.few_safe_trajectories(result))):
+    absent = [f"No {name}: {why}." for name, key in _ABSENT.items() if (why := result.get(key))]
+    for line in filter(
+        None, (*absent, reference, terminal.command_ages(result), terminal.few_safe_trajectories(result))
+    ):
         print(line)
     if not details:
         return

@@ -68,7 +68,6 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     def show() -> None:
         for one in entries:
             print(f"{out.path / str(one['file'])}: {one['title']}")
-            print(f"  {_said(one['measures'])}")
             print(f"  {one['command']}")
 
     out.write(write)
@@ -114,20 +113,6 @@ def _measures(subject: Subject, number: int) -> dict[str, Any]:
         return {}
     course = course_of(subject.scenario, adversary, car, *episodes.impact(number))
     return episode_measures(subject.scenario, course, collided=collided)
-
-
-def _said(measures: dict[str, Any]) -> str:
-    """Return the surrogate safety measures of an episode in one line."""
-    texts = {
-        "clearance": "least clearance {:z.2f} m",
-        "time_to_collision": "time to collision {:z.2f} s",
-        "post_encroachment_time": "post-encroachment time {:z.2f} s",
-        "required_deceleration": "required deceleration {:z.1f} m/s²",
-        "closing_speed": "closing speed {:z.1f} m/s",
-        "delta_v": "ΔV {:z.1f} m/s",
-        "fatality_risk": "risk of a fatality {:.1%}",
-    }
-    return ", ".join(text.format(measures[name]) for name, text in texts.items() if measures.get(name) is not None)
 
 
 def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:

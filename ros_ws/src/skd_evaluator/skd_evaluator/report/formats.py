@@ -8,7 +8,7 @@ from typing import Any
 
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories.sources import count_safe_trajectories
-from skd_sim.options.car_and_adversary import RANKING_OBJECTIVES, first_of
+from skd_sim.options.car_and_adversary import RANKING_OBJECTIVES, AdversaryModel, first_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import REGULATORY
 
@@ -353,7 +353,7 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> Iterator[FigureRow]
         "nominal_collision_rate": f"{counted(figures['collision_runs'], 'run')} over {phis}, along φ",
         "impact_speed": f"90 % below {speed['p90']:.1f} m/s; of the margin trajectories" if speed else "",
         "deviation": f"{f'adversary model: {model}; ' if model else ''}{kamikazes} over {phis}; {failed}",
-        "optimality_gap": "planned kamikazes needed so many times the margin",
+        "optimality_gap": gap_basis(figures),
         "skd": f"{style.share(figures['kamikaze_success_rate'])} of kamikazes collide; {pairs} over {phis}",
     }
     if risk := figures.get("risk"):
@@ -378,6 +378,15 @@ def _first_rows(figures: Mapping[str, Any], style: Style) -> Iterator[FigureRow]
         if one.first:
             row = _row(style, one, figures, main=True, basis=basis.get(one.key, ""))
             yield replace(row, **special.get(one.key, {}))
+
+
+def gap_basis(figures: Mapping[str, Any]) -> str:
+    """Return what the optimality gap is, and where it is wide what to judge the car by."""
+    said, close = "planned kamikazes needed so many times the margin", figures["optimality_gap"]
+    wide = close is not None and close > GAP_WARNING
+    unseen = wide and figures.get("lane_left") and figures["adversary_model"] == AdversaryModel.GENERIC
+    said += ": judge the car by its margin, not by planned deviation or SKD" if wide else ""
+    return said + ("; they do not see it leave its lane, unless by --adversary-model learned" if unseen else "")
 
 
 def _row(style: Style, one: Figure, figures: Mapping[str, Any], **rest: Any) -> FigureRow:

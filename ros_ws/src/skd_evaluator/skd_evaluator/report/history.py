@@ -19,7 +19,7 @@ from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.files.results import StoredResult, assessments_below
-from skd_evaluator.files import check_folder
+from skd_evaluator.files import UNFINISHED, check_folder
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.provenance import code_of_car
@@ -109,6 +109,12 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
             found.setdefault(real_path(place), read_run(place))
     found.update((one.folder, one) for one in unread)
     return list(found.values())
+
+
+def unfinished_below(folders: Sequence[Path]) -> list[Path]:
+    """Return the folders under some whose assessment was interrupted, or is running."""
+    found = {str(path).removesuffix(UNFINISHED) for one in folders for path in one.rglob(f"*{UNFINISHED}")}
+    return sorted(map(Path, found))
 
 
 def read_run(folder: Path) -> Run:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import multiprocessing
 import sys
 import threading
@@ -21,6 +20,8 @@ LINE_EVERY = 60.0
 """s between two lines of a step where there is no terminal."""
 SILENT = 5.0
 """s before the first line: what is done by then needs none."""
+CREDIBLE = 10.0
+"""% of a step that are done before it is said how long the rest takes."""
 COMPILING = "compiling for this kind of car: up to two minutes, kept for later runs"
 
 
@@ -58,10 +59,11 @@ class _Done(bars.MofNCompleteColumn):
 
 
 class _Left(bars.TimeRemainingColumn):
-    """The time that is left; nothing where that is not known."""
+    """The time that is left; nothing where that is not known, or not credible yet."""
 
     def render(self, task: bars.Task) -> Text:
-        return super().render(task).append(" left") if task.time_remaining else Text("")
+        known = task.time_remaining and task.percentage >= CREDIBLE
+        return super().render(task).append(" left") if known else Text("")
 
 
 _Shown = tuple[CampaignProgress, Callable[[str], None]]
@@ -106,7 +108,6 @@ class ProgressLines:
         """
         self._write, self._lock = write, threading.Lock()
         self._silent_until = time.monotonic() + SILENT
-        self._begun: dict[str, tuple[float, int]] = {}  # of each step: when, and what was done by then
         self._written: dict[str, float] = {}  # when something was written of it
 
     def update(self, label: str, done: int, total: int) -> None:
@@ -114,14 +115,12 @@ class ProgressLines:
         with self._lock:
             now = time.monotonic()
             step, _, budget = label.partition(",")  # a search says its budget behind the comma
-            begin, before = self._begun.setdefault(step, (now, done))
             if now < self._silent_until:
                 return
             if step not in self._written:
                 self._write(step, f" ({total})" if not budget and total > 1 else "")
             elif now - self._written[step] >= LINE_EVERY and done < total:
-                left = (total - done) * (now - begin) / max(done - before, 1)
-                self._write(label, f", {done} of {total}, {datetime.timedelta(seconds=round(left))} left")
+                self._write(label, f", {done} of {total}")
             else:
                 return
             self._written[step] = now

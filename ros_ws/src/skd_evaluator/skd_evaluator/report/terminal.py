@@ -320,29 +320,6 @@ def _short(entry: Mapping[str, Any]) -> str:
     return f"{said}, {abs(later):.1f} s {'slower' if later > 0.0 else 'quicker'}"
 
 
-_TELLING = ("margin", "deviation", "skd", "nominal_collision_rate")
-"""Figures that two cars do not share to the last digit unless they do the same."""
-
-
-def equal_remarks(rows: Sequence[Mapping[str, Any]], name: str) -> list[str]:
-    """Return a line for results whose figures are the same to the last digit: they are likely of the same car.
-
-    Args:
-        rows: figures of each result, under their keys in assessment.json.
-        name: key under which a row has the result's name.
-    """
-    alike: dict[tuple[Any, ...], list[str]] = {}
-    for row in rows:
-        figures = tuple(row.get(key) for key in _TELLING)
-        if figures[0] is not None or figures[1] is not None:
-            alike.setdefault(figures, []).append(str(row[name]))
-    return [
-        f"{', '.join(names[:-1])} and {names[-1]} have the same figures to the last digit: did they run the same car?"
-        for names in alike.values()
-        if len(names) > 1
-    ]
-
-
 def _plus_minus(value: float | None, interval: Sequence[float] | None) -> str:
     """Return a mean with half its normal interval, as the paper writes it."""
     if value is None or interval is None:

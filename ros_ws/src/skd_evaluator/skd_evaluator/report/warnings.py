@@ -9,33 +9,25 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from skd_sim.options.car_and_adversary import SKD_OBJECTIVES, AdversaryModel, first_of
+from skd_sim.options.car_and_adversary import SKD_OBJECTIVES, first_of
 from skd_sim.world.episode import counted_reasons
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import ROAD_EDGE, collision_partner
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
-from skd_evaluator.metrics.margins import GAP_WARNING, longer_search, stopped_at
+from skd_evaluator.metrics.margins import longer_search, stopped_at
 from skd_evaluator.report.formats import counted
 
 Result = Mapping[str, Any]
 """Content of assessment.json."""
-PLANNED = "planned kamikazes needed"
-"""How the warning about planned figures begins, which is of use only where these are shown."""
 _FEWEST = 10
-"""Trials below which optimality gap, or a quantile of impacts, says little."""
+"""Trials below which a quantile of impacts says little."""
 _JUST_ABOVE = 0.25
 """m/s above the hit speed within which nearly all hits are a matter of where it is set."""
 
 
-def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
-    """Return what is to be known of the figures.
-
-    Args:
-        result: content of assessment.json.
-        planned: whether what is to be known of the margin beside planned kamikazes is among it; a table that has the
-            optimality gap as a column needs none.
-    """
+def figure_warnings(result: Result) -> list[str]:
+    """Return what is to be known of the figures, from the content of assessment.json."""
     found = [nothing] if (nothing := undefined(result)) and result["margin"] is not None else []
     rows = result["per_safe_trajectory"]
     if unsafe := [row for row in rows if not row["safe"]]:
@@ -43,7 +35,7 @@ def figure_warnings(result: Result, *, planned: bool = True) -> list[str]:
         count = f"{len(unsafe)} of {counted(len(rows), 'safe trajectory')}"
         collide = f"{100 * worst['contact_rate']:.0f} % of the runs along it collide"
         found.append(f"not safe with this car: {count}, e.g. {worst['name']}: {collide}")
-    found += _of_margin(result) if planned else []
+    found += _of_margin(result)
     if (stopped := result["until_width"]) and not stopped["reached"]:
         found.append(stopped["text"])
     if (clipped := result["commands_clipped"])["commands"]:
@@ -63,17 +55,12 @@ def contact_warnings(result: Result) -> list[str]:
 
 
 def _of_margin(result: Result) -> Iterator[str]:
-    """Yield what is to be known of the margin and of the planned figures beside it; nothing where it is not known."""
+    """Yield what is to be known of the margin; nothing where it is not known."""
     if result["margin"] is None:
         return
-    trials, beyond, close = result["margin_trials"], result["margin_beyond"], result["optimality_gap"]
+    trials, beyond = result["margin_trials"], result["margin_beyond"]
     if not result["margin_converged"]:
         yield f"the search for the margin {stopped_at(result)}: the margin may be less; {longer_search(result)}"
-    if close is not None and close > GAP_WARNING and trials >= _FEWEST:
-        rather = "judge the car by its margin, not by planned deviation or SKD"
-        unseen = result.get("lane_left") and result["adversary_model"] == AdversaryModel.GENERIC
-        sees = "; they do not see it leave its lane, unless by --adversary-model learned" if unseen else ""
-        yield f"{PLANNED} {close:.2f} times the margin: {rather}{sees}"
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
     if impact and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE and trials - beyond >= _FEWEST:
         speeds = f"at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s"
@@ -148,19 +135,16 @@ def with_failures(assessment: Assessment, maximum_aborted: float) -> Assessment:
     return replace(assessment, warnings=(*assessment.warnings, *(line for line in found if line)))
 
 
-def warnings_of(
-    assessment: Assessment, *, planned: bool = True, said: Collection[str] = (), result: Result | None = None
-) -> list[str]:
+def warnings_of(assessment: Assessment, *, said: Collection[str] = (), result: Result | None = None) -> list[str]:
     """Return what a reader should know that is no failure.
 
     Args:
         assessment: the assessment with its figures.
-        planned: see `figure_warnings`.
         said: lines that were printed already.
         result: content of its assessment.json, where it is known.
     """
     own = [line for line in assessment.warnings if line not in {*not_credible(assessment.warnings), *said}]
-    return [*own, *figure_warnings(result or assessment.as_dict(), planned=planned), *_hits_of_others(assessment)]
+    return [*own, *figure_warnings(result or assessment.as_dict()), *_hits_of_others(assessment)]
 
 
 def _hits_of_others(assessment: Assessment) -> list[str]:

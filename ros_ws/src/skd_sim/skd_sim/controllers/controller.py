@@ -145,7 +145,7 @@ def control_period_of(controller: object, name: str) -> float | None:
     number = isinstance(period, (int, float)) and not isinstance(period, bool)
     least, most = CONTROL_PERIODS
     if not number or not least <= period <= most:  # compared first: whole numbers may be too large for a float
-        got = f"{min(max(period, -1e300), 1e300):g}" if number else f"something of {type(period).__name__}"
+        got = f"{min(max(period, -1e300), 1e300):g}" if number else f"{period!r:.60}"
         raise UsageError(
             f"controller {name}: control_period must be a number from {least:g} to {most:g} (s), got {got}"
         )
@@ -417,8 +417,10 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     begin_call(LOADING)
     try:
         found = load(target, what)
-        if inspect.isfunction(found) and inspect.signature(found).parameters:
-            raise UsageError(f"{what} is a function; give a class with the methods reset and command")
+        is_law = inspect.isfunction(found) and inspect.signature(found).parameters
+        if is_law or not callable(found):
+            kind = "a function" if is_law else f"an object of {type(found).__name__}"
+            raise UsageError(f"{what} is {kind}; give a class with the methods reset and command")
         made: Any = found()
         _check_methods(made, what)
         return user_controller(made, car.short_controller)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import is_there, near_or_all
+from skd_sim.inputs.files import did_you_mean, is_there
 from skd_sim.inputs.yaml_file import parse_yaml, read_yaml
 from skd_sim.options.registry import Registry
 
@@ -128,4 +128,5 @@ def _read(path: Path, what: str) -> Any:
     """Return the content of a scenario's file."""
     if is_there(path):
         return read_yaml(path)
-    raise UsageError(f"{what}: neither a file nor a known name{near_or_all(str(path), SCENARIOS.names(), 'known are')}")
+    near = did_you_mean(str(path), SCENARIOS.names())
+    raise UsageError(f"{what}: neither a file nor a known name{near or '; skd scenarios lists all'}")

@@ -44,6 +44,7 @@ from skd_evaluator.metrics.risks import RANKS
 from skd_evaluator.metrics.statistics import mean
 
 SAFER, LESS_SAFE, INCONCLUSIVE, NOT_COMPARED = "safer", "less safe", "inconclusive", "not compared"
+SAME = "the same in every trial"
 AS_SAFE, AS_SAFE_WITHIN = "as safe", 0.1  # of the lesser margin
 EACH = " for each harmless road user"
 STUCK = "not called safer, for it is often stuck"
@@ -110,8 +111,21 @@ class Comparison:
             (said < 0 and later < 0.0, f"{LESS_SAFE}, and {quicker}"),
             (said < 0, LESS_SAFE),
             (later != 0.0 and self._as_safe, f"{AS_SAFE}, and {quicker}"),
+            (self.is_same, SAME),
         )
         return next((verdict for holds, verdict in rows if holds), INCONCLUSIVE)
+
+    @property
+    def is_same(self) -> bool:
+        """Whether both are on the same φ, and the same in every trial to the last digit."""
+        ours, theirs = self.first.groups, self.second.groups
+        return (
+            self.second.same_safe(self.first.safe)
+            and ours.keys() == theirs.keys()
+            and all(
+                np.array_equal(np.concatenate(ours[key]), np.concatenate(theirs[key]), equal_nan=True) for key in ours
+            )
+        )
 
     @property
     def by_figures(self) -> int:

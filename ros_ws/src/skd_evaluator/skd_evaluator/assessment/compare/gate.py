@@ -7,14 +7,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from skd_evaluator.assessment.compare.comparison import (
     INCONCLUSIVE,
     LESS_SAFE,
     MARGIN,
     NOT_COMPARED,
     RISKS,
+    SAME,
     Comparison,
     compare,
 )
@@ -155,8 +154,8 @@ def not_worse(mine: StoredResult, earlier: StoredResult, remarks: Iterable[str] 
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
         return Check(name, f"{NOT_COMPARED}{few}", error=True, remarks=lines)
-    if not mine.worst and _is_unchanged(earlier, mine):
-        return Check(name, "no difference: the same in every trial", remarks=lines)
+    if not mine.worst and found.is_same:
+        return Check(name, f"no difference: {SAME}", remarks=lines)
     held = found.differences[judge]
     assert held.interval is not None
     low, high = held.interval
@@ -168,14 +167,6 @@ def not_worse(mine: StoredResult, earlier: StoredResult, remarks: Iterable[str] 
     if not failed and (why := _at_most(found) or _may_be_behind(earlier, mine)):
         return Check(name, f"not judged: {why}", error=True, remarks=(text, *lines))
     return Check(name, text, failed=failed, remarks=lines)
-
-
-def _is_unchanged(earlier: StoredResult, mine: StoredResult) -> bool:
-    """Return whether two results are of the same φ, and the same in every trial to the last digit."""
-    if not mine.same_safe(earlier.safe) or mine.groups.keys() != earlier.groups.keys():
-        return False
-    pairs = ((mine.groups[key], earlier.groups[key]) for key in mine.groups)
-    return all(np.array_equal(np.concatenate(one), np.concatenate(other), equal_nan=True) for one, other in pairs)
 
 
 def _at_most(found: Comparison) -> str:

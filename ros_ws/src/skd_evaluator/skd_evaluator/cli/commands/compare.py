@@ -102,7 +102,7 @@ def _compare(arguments: argparse.Namespace, results: Sequence[StoredResult], con
     from skd_evaluator.margin.common_trajectories import distinguishing_trials, on_common_trajectories
     from skd_evaluator.metrics.aborted import not_credible
     from skd_evaluator.report.progress import progress_bar
-    from skd_evaluator.report.terminal import comparison_table, equal_remarks, print_table, verdict_table
+    from skd_evaluator.report.terminal import comparison_table, print_table, verdict_table
 
     names, limits = labels(results), limits_of(arguments)
     out = result_folder(arguments)
@@ -139,7 +139,7 @@ def _compare(arguments: argparse.Namespace, results: Sequence[StoredResult], con
         "confidence": confidence,
         "comparisons": entries,
         **({"only_one_hits": [one.as_dict() for one in found]} if arguments.explain else {}),
-        "warnings": list(dict.fromkeys([*warnings, *equal_remarks(rows, "car")])),
+        "warnings": list(dict.fromkeys(warnings)),
     }
     if arguments.rev:  # each was rated elsewhere, and will be there
         there, here = (json.dumps(str(one))[1:-1] for one in (results[0].folder.parent, out.path))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,7 +51,8 @@ def add(parser: Parser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     from skd_evaluator.report.formats import counted
-    from skd_evaluator.report.history import find_runs, runs_table
+    from skd_evaluator.report.history import find_runs, runs_table, unfinished_below
+    from skd_evaluator.report.repeat import program
     from skd_evaluator.report.terminal import print_table
 
     runs = find_runs(arguments.paths)
@@ -63,18 +65,24 @@ def run(arguments: argparse.Namespace) -> int:
         found = found[-arguments.last :]
     if arguments.trend is not None:
         return _trend(arguments, found, unread)
+    open_ones = [] if car or scenario else unfinished_below(arguments.paths)
     content = {"results": [one.as_dict() for one in found], "unread": [str(one.folder) for one in unread]}
+    content["unfinished"] = list(map(str, open_ones))
 
     def show() -> None:
         warn("list", [f"{one.folder}: {one.remark}" for one in unread])
-        if not found:
+        if not (found or open_ones):
             where = ", ".join(map(str, arguments.paths))
             raise UsageError(f"{where}: holds no such assessment ({counted(len(runs), 'result')} in all)")
-        print_table(runs_table(found))
+        if found:
+            print_table(runs_table(found))
         for one in found:
-            for line in filter(None, (one.remark, *one.warnings)):
+            for line in filter(None, (one.remark, *one.not_credible[:1])):
                 print(f"* {one.folder}: {line}")
-        print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
+        for folder in open_ones:
+            print(f"unfinished: {folder}; go on with: {shlex.join([program(), 'assess', '--resume', str(folder)])}")
+        noted = ", some with warnings (*), which --json prints" if any(one.warnings for one in found) else ""
+        print(f"{counted(len(found), 'result')}{noted}; skd verify says whether figures follow from their episodes")
 
     return finish(arguments, content, show)
 

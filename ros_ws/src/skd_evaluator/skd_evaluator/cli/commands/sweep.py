@@ -167,6 +167,6 @@ def run(arguments: argparse.Namespace) -> int:
     warnings, failures = list[str](), list[str | None]()
     for kind, one in assessments:
         name = f"{kind}, C = {one.plan.multiplier:g}"
-        warnings += [f"{name}: {line}" for line in warnings_of(one, planned=False)]
+        warnings += [f"{name}: {line}" for line in warnings_of(one)]
         failures += [f"{name}: {why}" for why in why_failed(one, arguments.max_aborted)]
     return finish(arguments, summary, show, warnings, failures, saved=saved, since=begin)

@@ -29,7 +29,7 @@ from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, Combinat
 from skd_evaluator.report.formats import counted, number, percent
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.repeat import program
-from skd_evaluator.report.terminal import bounded_cell, credibility_mark, equal_remarks, narrow_table, print_table
+from skd_evaluator.report.terminal import bounded_cell, credibility_mark, narrow_table, print_table
 from skd_evaluator.ros.session import prepare_ros
 
 _CELLS_ON_A_CLUSTER = 8
@@ -177,7 +177,7 @@ def _say_result(content: Mapping[str, Any], out: Path, arguments: argparse.Names
     if limits:
         done = [str(row["name"]) for row in rows if row["state"] == DONE]
         failures += limit_failures(limits, {name: read_figures(out / name) for name in done})
-    return finish(arguments, content, show, [*refusal, *equal_remarks(rows, "name"), *warnings], failures)
+    return finish(arguments, content, show, [*refusal, *warnings], failures)
 
 
 def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -29,6 +29,7 @@ def in_processes(runner: Workers, progress: Progress) -> Rounds:
 
     def go_on(groups: Sequence[Group], what: str) -> list[Group]:
         found: list[Group] = []
+        progress(f"{LABEL}, {what}", 0, len(groups))
         for some in runner.map(_search, [groups[at : at + _TOGETHER] for at in range(0, len(groups), _TOGETHER)]):
             found += some
             progress(f"{LABEL}, {what}", len(found), len(groups))
@@ -46,6 +47,7 @@ def by_episodes(runner: Runner, progress: Progress) -> Rounds:
     """Return what searches all groups at once by whole episodes, as of a stack behind the node graph."""
 
     def go_on(groups: Sequence[Group], what: str) -> list[Group]:
+        progress(f"{LABEL}, {what}", 0, 1)
         search(groups, lambda episodes: list(runner.run(episodes)))
         progress(f"{LABEL}, {what}", 1, 1)
         return list(groups)

@@ -8,14 +8,14 @@ function crossAt(picture, x, y, name) {
 }
 
 // Where the hits of a car are: of margin trajectories, and of all episodes; the chosen one stands out.
-function drawHits(data, episode, turned) {
+function drawHits(data, episode) {
   const { scene, least } = episode.owner;
   const mine = data.of(episode.subject).filter((one) => one.isHit && one.path);
   const ends = least.flat().map((one) => one.points.at(-1));
   const places = mine.map((one) => { const { x, y } = one.course; return [x.at(-1), y.at(-1)]; });
   const box = bounds([...scene.safe.flatMap((phi) => phi.points), ...ends, ...places], AIR);
-  if (turned) box[1] = Math.min(box[1], box[3] - 1.2 * (box[2] - box[0])); // as wide as its place
-  const picture = new Picture(box, scene, "Map of where the car hits", turned);
+  box[1] = Math.min(box[1], box[3] - 1.2 * (box[2] - box[0])); // as wide as its place
+  const picture = new Picture(box, scene, "Map of where the car hits");
   picture.road();
   for (const phi of scene.safe) picture.line(phi.points.map((p) => p[0]), phi.points.map((p) => p[1]), "phi thin");
   for (const [x, y] of ends) picture.disc(x, y, 0.09, "end least");
@@ -80,7 +80,7 @@ class Maps {
     }
     picture.line(phi.points.map((p) => p[0]), phi.points.map((p) => p[1]), "phi");
     for (const [x, y] of phi.points) picture.disc(x, y, 0.09, "dot");
-    picture.scale();
+    picture.scale(0.075 * SCALE * picture.wide);
     const beyond = margin ? all.filter((one) => one >= this.subject.etaMax).length : 0;
     const found = all.length - beyond;
     const few = courses.length < found ? `, the ${margin ? "least " : ""}${courses.length} drawn` : "";

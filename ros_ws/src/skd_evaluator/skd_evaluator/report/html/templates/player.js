@@ -32,7 +32,7 @@ class Player {
     for (const one of document.querySelectorAll(".of-belief")) one.hidden = !believes;
     for (const control of [this.time, this.play]) control.disabled = !there;
     if (there) this.drawScene();
-    drawHits(this.data, episode, there && this.picture.turned);
+    drawHits(this.data, episode);
     if (!there) {
       this.view.replaceChildren(html("p", { className: "note", textContent: "The trajectory of this episode is not in this file; episodes.npz of the result folder has it." }));
       for (const one of [this.distances, this.surrogates]) one.replaceChildren();
@@ -51,9 +51,8 @@ class Player {
     const area = bounds([...points, ...course.x.map((x, i) => [x, course.y[i]]), ...cars.flatMap(([x, y]) => [[x, y - scene.car.rear], [x, y + scene.car.front]])], 0.6);
     area[0] = Math.min(area[0], -3.5);
     area[2] = Math.max(area[2], 3.5) + 0.8; // room for the scale
-    const turned = area[3] - area[1] > area[2] - area[0];
-    if (turned) area[1] -= 1; // and for its numbers beside the car at the start
-    const picture = (this.picture = new Picture(area, scene, "The episode seen from above", turned));
+    area[1] -= 1; // and for its numbers beside the car at the start
+    const picture = (this.picture = new Picture(area, scene, "The episode seen from above"));
     picture.road();
     picture.line(course.carX, course.carY, "ghost");
     picture.line(points.map((p) => p[0]), points.map((p) => p[1]), "phi");

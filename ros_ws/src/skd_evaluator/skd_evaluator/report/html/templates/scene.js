@@ -1,4 +1,4 @@
-// Seen from above: roads, cars, people, as SVG. World frame in metres, North up.
+// Seen from above: roads, cars, people, as SVG. World frame in metres, North to the right: a long lane fits a page.
 const SVG = "http://www.w3.org/2000/svg";
 const SCALE = 30; // units of the picture a metre
 
@@ -16,11 +16,10 @@ function html(tag, properties = {}, ...children) {
 }
 
 class Picture {
-  // `box`: [x0, y0, x1, y1], m. Where it is turned, North is to the right and East is down: a long lane fits a page.
-  constructor(box, scene, label, turned = false) {
+  // `box`: [x0, y0, x1, y1], m. East is down.
+  constructor(box, scene, label) {
     [this.x0, this.y0, this.x1, this.y1] = box;
-    this.turned = turned;
-    const [width, height] = turned ? [this.y1 - this.y0, this.x1 - this.x0] : [this.x1 - this.x0, this.y1 - this.y0];
+    const [width, height] = [this.y1 - this.y0, this.x1 - this.x0];
     const size = `0 0 ${(SCALE * width).toFixed(1)} ${(SCALE * height).toFixed(1)}`;
     this.svg = element("svg", { class: "scene", viewBox: size, role: "img", "aria-label": label });
     this.wide = width;
@@ -28,7 +27,7 @@ class Picture {
     this.scene = scene;
   }
 
-  at(x, y) { return this.turned ? [SCALE * (y - this.y0), SCALE * (x - this.x0)] : [SCALE * (x - this.x0), SCALE * (this.y1 - y)]; }
+  at(x, y) { return [SCALE * (y - this.y0), SCALE * (x - this.x0)]; }
   points(xs, ys) { return Array.from(xs, (x, i) => this.at(x, ys[i]).map((one) => one.toFixed(1)).join(",")).join(" "); }
   add(...children) { this.svg.append(...children); return children[0]; }
 
@@ -48,20 +47,18 @@ class Picture {
   units(width, height) { return SCALE * Math.max(this.wide / width, this.high / height); }
 
   // A scale along the left and the lower edge, with numbers of a size in units of the picture.
-  scale(size = (14 * this.wide) / (this.turned ? 36 : 9)) { // about as large in wide pictures as in narrow ones
-    const [across, up] = this.turned ? [[this.y0, this.y1], [this.x0, this.x1]] : [[this.x0, this.x1], [this.y0, this.y1]];
+  scale(size) {
     const step = niceStep(Math.min(this.x1 - this.x0, this.y1 - this.y0) / 5);
     const bottom = SCALE * this.high, right = SCALE * this.wide;
-    const names = this.turned ? ["x, East ↓", "y, North →"] : ["y, North ↑", "x, East →"];
-    this.add(this.text(0.8 * size, 1.3 * size, names[0], size));
-    this.add(this.text(right - 0.5 * size, 1.3 * size, names[1], size)).setAttribute("text-anchor", "end");
-    for (const value of steps(...up, step)) {
-      const v = this.turned ? this.at(value, 0)[1] : this.at(0, value)[1];
+    this.add(this.text(0.8 * size, 1.3 * size, "x, East ↓", size));
+    this.add(this.text(right - 0.5 * size, 1.3 * size, "y, North →", size)).setAttribute("text-anchor", "end");
+    for (const value of steps(this.x0, this.x1, step)) {
+      const v = this.at(value, 0)[1];
       if (v > bottom - 2.5 * size || v < 2.4 * size) continue;
       this.add(element("line", { x1: 0, x2: 0.6 * size, y1: v, y2: v, class: "tick" }), this.text(0.8 * size, v + 0.35 * size, value, size));
     }
-    for (const value of steps(...across, step)) {
-      const u = this.turned ? this.at(0, value)[0] : this.at(value, 0)[0];
+    for (const value of steps(this.y0, this.y1, step)) {
+      const u = this.at(0, value)[0];
       if (u < 3 * size || u > right - 2 * size) continue;
       this.add(element("line", { x1: u, x2: u, y1: bottom - 0.6 * size, y2: bottom, class: "tick" }), this.text(u + 0.3 * size, bottom - 0.3 * size, value, size));
     }
