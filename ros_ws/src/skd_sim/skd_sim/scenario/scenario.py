@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.model import Frozen, OneOf, OnLane, YesNo, limits, read_model
+from skd_sim.inputs.model import Frozen, OneOf, OnLane, YesNo, limits, plain, read_model
 from skd_sim.options.car_and_adversary import BASIC, DYNAMICS
 from skd_sim.scenario.ending import NOWHERE, Ending, Endings, ending_of
 from skd_sim.scenario.lanes import with_absolute_keys, without_lanes
@@ -312,20 +312,7 @@ class Scenario(Frozen):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the scenario as plain data; `scenario_from_dict` is the inverse."""
-        return _given(dataclasses.asdict(self))
-
-
-def _given(data: dict[str, Any]) -> dict[str, Any]:
-    """Return nested data without what was left out."""
-    given: dict[str, Any] = {}
-    for key, value in data.items():
-        if isinstance(value, dict):
-            given[key] = _given(value)
-        elif isinstance(value, tuple) and value:
-            given[key] = tuple(_given(item) if isinstance(item, dict) else item for item in value)
-        elif value not in (None, ()):
-            given[key] = value
-    return given
+        return plain(self)
 
 
 Shape = Triple

@@ -5,7 +5,6 @@ Points by Euro NCAP's own calculator (the extra `ncap`); whether a result agrees
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module  # the calculator is slow to import, and an extra
@@ -16,7 +15,7 @@ from typing import Annotated, Any, Final
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
-from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, read_model
+from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, plain, read_model
 
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.files.verification import Verified
@@ -193,14 +192,7 @@ class ProtocolResult(Frozen):
 
 def as_data(found: ProtocolResult) -> dict[str, Any]:
     """Return the result as plain data, without what is not known."""
-    known: dict[str, Any] = _known(dataclasses.asdict(found))
-    return known
-
-
-def _known(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _known(one) for key, one in value.items() if one is not None and one != "" and one != ()}
-    return [_known(one) for one in value] if isinstance(value, (list, tuple)) else value
+    return plain(found, empty=(None, "", ()))
 
 
 def read_protocol(folder: Path) -> ProtocolResult:

@@ -23,7 +23,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, is_there
-from skd_sim.inputs.model import Finite, Frozen, OneOf, read_model
+from skd_sim.inputs.model import Finite, Frozen, OneOf, plain, read_model
 from skd_sim.inputs.yaml_file import read_yaml, to_yaml
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road_user import ROAD_USERS
@@ -130,13 +130,7 @@ class Behaviour(Frozen):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of its file."""
-        rows = {}
-        for name in NAMES:
-            one = self.parameters[name]
-            rows[name] = {"value": one.value, "source": one.source}
-            if one.interval_95 is not None:
-                rows[name]["interval_95"] = list(one.interval_95)
-        return {"name": self.name, "kind": self.kind, "description": self.description, "parameters": rows}
+        return {**plain(self), "parameters": {name: plain(self.parameters[name]) for name in NAMES}}
 
 
 def file_of(name: str | Path) -> Path:
