@@ -29,11 +29,10 @@ def test_only_regular_files_of_some_size_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "NaN", "[Infinity]", "1e999", "[" * 100_000, "9" * 30, "-" + "9" * 5000, "", "{", b"\xff\xfe\x00",
-        '{"a": 1, "b": 2, "a": 1}',
+        "NaN", "[Infinity]", "[" * 100_000, "", "{", "{'a': 1}", '{"a": 1,}', b"\xff\xfe\x00",
     ],
 )  # fmt: skip
-def test_json_that_two_readers_may_take_otherwise_is_refused(text: str | bytes) -> None:
+def test_what_is_no_json_is_refused(text: str | bytes) -> None:
     with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads") as caught:
         parse_json(text, "here")
     assert len(str(caught.value)) < 250

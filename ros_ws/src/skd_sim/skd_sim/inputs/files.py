@@ -6,15 +6,13 @@ Only regular files are opened, for a pipe would never begin, and they are read u
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 import stat
 import unicodedata
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, Any
 from xml.etree import ElementTree
 
 from skd_sim.errors import UsageError
@@ -22,8 +20,6 @@ from skd_sim.errors import UsageError
 LARGEST = 64 * 2**20
 """Bytes that are read of a file unless less is enough; the largest assessment.json that was seen has 3 MiB."""
 _BLOCK = 2**20
-LARGEST_WHOLE = 2**64
-"""What a whole number of ours may be: seeds and ids have 64 bits."""
 
 
 def open_regular(path: Path) -> IO[bytes]:
@@ -138,44 +134,15 @@ def parse_json(content: bytes | str, where: str) -> Any:
         where: name of the file or message, for error lines.
 
     Raises:
-        UsageError: it is no JSON, is nested too deeply, or has a number that is not finite or has more than 64 bits, or
-            a key that stands twice in an object: one reader takes the first value, another the last.
+        UsageError: it is no JSON (NaN and Infinity are none), or is nested too deeply.
     """
+    from pydantic_core import from_json  # slow to import for a help page
+
     try:
         text = content.decode("utf-8-sig") if isinstance(content, bytes) else content
-        return json.loads(
-            text, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole, object_pairs_hook=_each_once
-        )
-    except RecursionError as error:
-        raise UsageError(f"{where}: not JSON that SKD reads: it is nested too deeply") from error
+        return from_json(text, allow_inf_nan=False)
     except ValueError as error:
         raise UsageError(f"{where}: not JSON that SKD reads: {' '.join(str(error).split())[:160]}") from error
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number in JSON")
-
-
-def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"{twice[:60]!r} stands twice in one object")
-    return found
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text[:40]} is beyond all numbers")
-    return value
-
-
-def _whole(text: str) -> int:
-    value = int(text) if len(text) <= len(str(LARGEST_WHOLE)) + 1 else LARGEST_WHOLE + 1
-    if abs(value) > LARGEST_WHOLE:
-        raise ValueError(f"{text[:40]} has more than 64 bits")
-    return value
 
 
 def read_xml(path: Path, largest: int = LARGEST) -> ElementTree.Element:

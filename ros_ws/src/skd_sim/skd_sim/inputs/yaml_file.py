@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import LARGEST_WHOLE, read_text
+from skd_sim.inputs.files import read_text
 
 LARGEST = 256 * 1024
 """Bytes: a scenario has two thousand, a car model ten thousand; PyYAML reads about 100,000 a second."""
@@ -31,26 +31,13 @@ _SCALARS = {  # YAML 1.2.2, 10.3.2 (core schema); in YAML 1.1, PyYAML's, 013 is 
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain data without aliases, by which a short text can mean gigabytes, and each key once."""
+    """Plain data by YAML 1.2, and each key once."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - none of YAML 1.1
 
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            parser: Any = self  # PyYAML's parser has no types
-            mark = parser.peek_event().start_mark
-            raise yaml.composer.ComposerError(None, None, "aliases (*) are not allowed: write it out", mark)
-        node: yaml.Node | None = super().compose_node(parent, index)
-        return node
-
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        """Return a whole number of at most 64 bits: no such file needs more, and not all code can compare more."""
-        value = int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10))
-        if abs(value) > LARGEST_WHOLE:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"{node.value[:40]} has more than 64 bits", node.start_mark
-            )
-        return value
+        """Return a whole number: 013 is 13, and 0o13 is 11."""
+        return int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10))
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         # PyYAML takes the last of two equal keys, and a reader of the file may see the first.
