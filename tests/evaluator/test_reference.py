@@ -7,6 +7,7 @@ import pytest
 from skd_evaluator.assessment.files.assessment_json import assessment_schema
 from skd_evaluator.assessment.stages import margin
 from skd_evaluator.library import assess
+from skd_evaluator.margin import basic_margins
 from skd_evaluator.metrics.margins import ReferenceMargin, reference_text
 
 FEW = {"safe_count": 2, "kamikaze_count": 2, "collision_runs": 4, "margin_limit": 64, "simulations": 20, "workers": 1}
@@ -15,7 +16,7 @@ FEW |= {"objective": "deviation", "behaviour": "none"}
 
 def test_drivers_are_compared_by_their_own_margins_in_the_same_trials_and_kept(monkeypatch, tmp_path):
     monkeypatch.setattr(margin, "REFERENCE_DRIVERS", ("reg157",))
-    monkeypatch.setattr(margin, "cache_folder", lambda: tmp_path / "kernels")
+    monkeypatch.setattr(basic_margins, "cache_folder", lambda: tmp_path / "kernels")
     first = assess("basic", reference=True, **FEW)
     (entry,) = first.as_dict()["reference"]
     own, theirs = first.margins, assess("reg157", **FEW).margins

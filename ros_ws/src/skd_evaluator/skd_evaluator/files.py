@@ -106,6 +106,18 @@ def replace_file(path: Path, text: str) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def keep(file: Path, content: bytes) -> bool:
+    """Put a file into the user's cache, whole; return whether that was possible."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=PREFIX, delete=False) as stream:
+            stream.write(content)
+        Path(stream.name).replace(file)
+    except OSError:
+        return False
+    return True
+
+
 def unfinished(out: Path) -> Path:
     """Return the file beside the results in which episodes are kept until these are written."""
     return out.with_name(f"{out.name}{UNFINISHED}")

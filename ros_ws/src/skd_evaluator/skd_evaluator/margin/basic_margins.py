@@ -18,11 +18,12 @@ import contextlib
 import hashlib
 import json
 import math
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +38,7 @@ from skd_sim.world.state import FloatArray, Trajectory
 from skd_evaluator.assessment.context import Progress
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
+from skd_evaluator.files import keep
 from skd_evaluator.margin.actions import velocities, why_not_exact
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.margins import (
@@ -116,7 +118,7 @@ class BasicMargins:
         trials: how many trials there are on each φ, from number 0 on.
         runner: computes the margins, in several processes.
         progress: called with how far the work is.
-        cache: folder in which margins are kept.
+        cache: folder in which margins are kept; None: in the user's cache.
     """
 
     plan: Plan
@@ -124,24 +126,21 @@ class BasicMargins:
     trials: int
     runner: Workers
     progress: Progress
-    cache: Path
+    cache: Path | None
 
     def at(self, hundredths: int) -> list[FloatArray]:
         """Return, per φ, the margin of trials 0, 1, … of the basic car with C = `hundredths`/100, m."""
         multiplier = hundredths / 100
         plan = yardstick(self.plan, multiplier)
-        key = margins_key(plan.scenario, self.safe, plan.seed, self.trials, multiplier)
-        file, shape = self.cache / f"{key}.npy", (len(self.safe), self.trials)
-        if (known := _kept(file, shape, plan.scenario.eta_max)) is not None:
-            return list(known)
-        episodes = plan.trials(self.safe, self.trials)
-        found = []
-        for margin in self.runner.map(margin_of, episodes):
-            found.append(margin)
-            self.progress(f"{LABEL}, C = {multiplier:g}", len(found), len(episodes))
-        margins = np.reshape(found, shape)
-        _keep(file, margins)
-        return list(margins)
+
+        def compute() -> tuple[FloatArray, bool]:
+            episodes, found = plan.trials(self.safe, self.trials), list[float]()
+            for margin in self.runner.map(margin_of, episodes):
+                found.append(margin)
+                self.progress(f"{LABEL}, C = {multiplier:g}", len(found), len(episodes))
+            return np.array(found), True
+
+        return kept_margins(plan, self.safe, self.trials, multiplier, compute, self.cache)[0]
 
 
 def equivalent_of(
@@ -178,9 +177,7 @@ def equivalent_of(
     car = [one[:used] for one in car]
     if not any(np.isfinite(one).any() for one in car):
         return None, f"none of the first {used} trials on each φ has a margin"
-    basic = BasicMargins(
-        plan, safe, used, runner, progress, cache_folder().with_name("margins") if cache is None else cache
-    )
+    basic = BasicMargins(plan, safe, used, runner, progress, cache)
     computed: dict[int, list[FloatArray]] = {}
     differences: dict[int, MarginDifference] = {}
 
@@ -312,20 +309,30 @@ def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, trial
     return found.hexdigest()
 
 
-def _kept(file: Path, shape: tuple[int, int], eta_max: float) -> FloatArray | None:
-    """Return the margins in a file of the cache, φ × trials, m; None where there are none, or the file is damaged."""
-    try:
-        found: FloatArray = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        return None
-    good = found.shape == shape and ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()
-    return found if good else None
+def kept_margins(
+    plan: Plan,
+    safe: Sequence[Trajectory],
+    trials: int,
+    driver: object,
+    compute: Callable[[], tuple[FloatArray, bool]],
+    cache: Path | None = None,
+) -> tuple[list[FloatArray], bool]:
+    """Return, per φ, the margins of a driver, m, and whether they have converged: kept ones, else computed and kept.
 
-
-def _keep(file: Path, margins: FloatArray) -> None:
-    """Keep margins in a file; where that is not possible, they will be computed again."""
-    with contextlib.suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=f".{file.name[:16]}-", delete=False) as stream:
-            np.save(stream, margins)
-        Path(stream.name).replace(file)
+    Args:
+        plan: with the driver in the place of the car.
+        safe: Φ, in the order of their numbers.
+        trials: how many trials there are on each φ.
+        driver: as of `margins_key`.
+        compute: returns the margins of all trials, and whether they have converged.
+        cache: folder in which they are kept; by default in the user's cache.
+    """
+    folder = cache_folder().with_name("margins") if cache is None else cache
+    file = folder / f"{margins_key(plan.scenario, safe, plan.seed, trials, driver)}.npz"
+    with contextlib.suppress(OSError, ValueError, EOFError, BadZipFile), np.load(file) as kept:  # or it is damaged
+        return list(kept["margins"]), bool(kept["converged"])
+    found, converged = compute()
+    margins, content = found.reshape(len(safe), trials), BytesIO()
+    np.savez(content, margins=margins, converged=converged)
+    keep(file, content.getvalue())
+    return list(margins), converged

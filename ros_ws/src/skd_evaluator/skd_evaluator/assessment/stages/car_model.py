@@ -53,6 +53,7 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, not_credible_beside
 from skd_evaluator.bags.files import holds_recordings, is_recording
 from skd_evaluator.bags.read import read_bags
+from skd_evaluator.files import keep
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.measures import pair_of
@@ -124,7 +125,7 @@ def learned(
             if file is None:
                 line += ", not kept: its files are not known"
             # Unless files of the car have changed since it began to be learned.
-            elif model_file(plan, graph) == file and keep_model(file, text):
+            elif model_file(plan, graph) == file and keep(file, text.encode()):
                 line += f", kept in {file}"
     say(f"{line}; --adversary-model generic does without")
     return replace(plan, car_model=text)
@@ -339,18 +340,6 @@ def kept_model(file: Path) -> str | None:
         fitted_car(text)
         return text
     return None
-
-
-def keep_model(file: Path, text: str) -> bool:
-    """Keep a model, by one rename of what is complete; return whether that was possible."""
-    part = file.with_suffix(f".{os.getpid()}")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        part.replace(file)
-    except OSError:
-        return False
-    return True
 
 
 def recording_of(log: EpisodeLog) -> RecordedEpisode:

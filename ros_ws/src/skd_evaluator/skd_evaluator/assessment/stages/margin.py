@@ -6,9 +6,7 @@ them. So the margins are a property of the car, and do not depend on what an adv
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -18,8 +16,7 @@ import numpy as np
 from skd_adversary.adversary import warm_up_episodes
 from skd_sim.controllers.controller import with_control_period
 from skd_sim.errors import AssessmentError, UsageError
-from skd_sim.inputs.files import read_json
-from skd_sim.kernels.compilation import cache_folder, is_kept
+from skd_sim.kernels.compilation import is_kept
 from skd_sim.options.car_and_adversary import REFERENCE_DRIVERS, WORLD, AdversaryModel, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import FREE, OCCUPIED, with_oncoming_lane
 from skd_sim.simulators.simulator import repeats_itself
@@ -32,9 +29,8 @@ from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers, available_workers, in_background
-from skd_evaluator.files import replace_file
 from skd_evaluator.margin.actions import has_exact_margin
-from skd_evaluator.margin.basic_margins import equivalent_of, margins_key
+from skd_evaluator.margin.basic_margins import equivalent_of, kept_margins
 from skd_evaluator.margin.common_trajectories import earlier_version, whole_trajectory
 from skd_evaluator.margin.exact.exact import exact_margin, search_least
 from skd_evaluator.margin.search.rounds import SAME, by_episodes, confirmed, in_processes, one_by_one
@@ -369,21 +365,13 @@ def _reference_margins(
     plan: Plan, safe: Sequence[Trajectory], each: int, context: Context
 ) -> tuple[list[FloatArray], bool]:
     """Return a driver's margins in the first trials of each φ (m), and whether the search for them has converged."""
-    driver = [plan.controller, context.margin_limit, version()]
-    file = cache_folder().with_name("margins") / f"{margins_key(plan.scenario, safe, plan.seed, each, driver)}.json"
-    with contextlib.suppress(UsageError, KeyError, TypeError, ValueError):
-        kept = read_json(file)
-        values = np.array(kept["margins"], dtype=np.float64)
-        if values.shape == (len(safe), each) and (values >= 0.0).all():
-            return list(values), bool(kept["converged"])
 
     def progress(label: str, done: int, total: int) -> None:
         context.progress(f"{label}, {plan.controller}", done, total)
 
-    hits, search = minimal_deviations(plan.trials(safe, each), {}, context.workers, progress, context.margin_limit)
-    found = Margins((tuple(hits),), plan.scenario.eta_max, search)
-    values = found.values.reshape(len(safe), each)
-    with contextlib.suppress(OSError, UsageError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(file, json.dumps({"margins": values.tolist(), "converged": found.converged}))
-    return list(values), found.converged
+    def compute() -> tuple[FloatArray, bool]:
+        hits, search = minimal_deviations(plan.trials(safe, each), {}, context.workers, progress, context.margin_limit)
+        found = Margins((tuple(hits),), plan.scenario.eta_max, search)
+        return found.values, found.converged
+
+    return kept_margins(plan, safe, each, [plan.controller, context.margin_limit, version()], compute)
