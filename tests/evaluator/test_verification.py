@@ -167,23 +167,6 @@ def test_a_value_of_another_kind_is_said_in_one_line(result, sweep, skd_here, na
     one_line(skd_here(*map(str, words)), 2, "assessment.json")
 
 
-@pytest.mark.parametrize(
-    ("name", "place", "value", "said"),
-    [
-        ("impact_speed", slice(None), np.nan, "episodes.npz: a collision has no impact speed"),
-        ("positions", 40, np.nan, "a state is not finite"),
-        ("safe_index", -1, 9, "a φ that is not there"),
-    ],
-)
-def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, place, value, said):
-    with np.load(result / "episodes.npz") as file:
-        arrays = dict(file)
-    arrays[name][place] = value
-    np.savez(result / "episodes.npz", **arrays)
-    write_manifests(result)
-    one_line(skd_here("report", str(result), "--format", "png", "--out", "shown"), 2, said)
-
-
 def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
     behaviour = tmp_path / "fitted" / "behaviour.yaml"
     behaviour.parent.mkdir()

@@ -161,12 +161,7 @@ def equivalent_of(
         runner: computes margins of basic cars, in several processes.
         progress: called with how far the work is.
         cache: folder in which margins of basic cars are kept; by default in the user's cache.
-
-    Raises:
-        ValueError: margins of other φ than those of Φ.
     """
-    if len(margins_per_phi) != len(safe):
-        raise ValueError(f"there are margins of {len(margins_per_phi)} φ and {len(safe)} φ")
     car = [np.minimum(np.asarray(one, dtype=np.float64), plan.scenario.eta_max) for one in margins_per_phi]
     if not any(np.isfinite(one).any() for one in car):
         return None, "no trial has a margin"

@@ -160,12 +160,7 @@ def mean_deviation(
         trials: for each φ the deviation of each trial that ran to its end, m; infinite without a hit.
         eta_max: η_max, m, > 0: what a trial counts as that failed, or that needed more.
         confidence: confidence of the interval over φ.
-
-    Raises:
-        ValueError: η_max is not positive.
     """
-    if not eta_max > 0.0:
-        raise ValueError(f"eta_max must be positive, got {eta_max}")
     groups = list(trials)
     return (
         GroupedMean(tuple(np.minimum(one, eta_max) for one in groups), DISTANCES, (0.0, eta_max), confidence),

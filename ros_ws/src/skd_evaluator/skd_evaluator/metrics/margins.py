@@ -376,12 +376,7 @@ def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> 
 
     Returns:
         None without a trial in common.
-
-    Raises:
-        ValueError: they are not of equally many φ.
     """
-    if len(car) != len(basic):
-        raise ValueError(f"the car has margins of {len(car)} φ, the basic car of {len(basic)}")
     groups = []
     for one, other in zip(car, basic, strict=True):
         first, second = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
@@ -420,11 +415,9 @@ def equivalent_multiplier(
         basic: for at least two C the margins of the basic car in the same trials; it may have fewer of them.
 
     Raises:
-        ValueError: fewer than two C, or one without a trial in common with the car.
+        ValueError: one C is without a trial in common with the car.
     """
     grid = np.array(sorted(basic))
-    if grid.size < 2:
-        raise ValueError("margins of the basic car are needed for at least two multipliers")
     found = []
     for multiplier in grid.tolist():
         one = difference(car, basic[multiplier])

@@ -207,7 +207,6 @@ def _risk_columns(assessment: Assessment) -> Columns:
 EPISODES = "episodes.npz"
 
 
-_ROUNDING = 1e-9  # m
 _OF_STATES = ("car", "heading", "belief")
 _OF_EPISODES = ("clipped", "reason", "own_contact")
 _OF_FAILURES = ("positions", "car", "heading", "offsets", "impact_time", "impact_speed")
@@ -367,40 +366,30 @@ def read_episodes(folder: Path, name: str = EPISODES) -> StoredEpisodes:
     """Read episodes.npz of a folder, of an assessment or of a probe, which has no φ.
 
     Raises:
-        UsageError: it cannot be read, is damaged (its checksums are compared), or its arrays do not go together.
+        UsageError: it cannot be read, or is damaged (its checksums are compared).
     """
     path = folder / name
     with open_regular(path) as stream:
         try:
             with np.load(stream, allow_pickle=False) as file:
                 return _stored({one: file[one] for one in file.files})
-        except UsageError as error:
-            raise UsageError(f"{path}: {error}") from error
         except Exception as error:  # its readers raise whatever the bytes make them raise
             said = " ".join(f"{type(error).__name__}: {error}".split())[:120]
             raise UsageError(f"{path}: is not an episodes.npz of SKD, or is damaged ({said})") from error
 
 
 def _stored(arrays: Mapping[str, Array]) -> StoredEpisodes:
-    """Return the episodes in the arrays of a file.
-
-    Raises:
-        UsageError, ValueError, LookupError: these do not go together.
-    """
-    if why := _mismatch(arrays):
-        raise UsageError(why)
+    """Return the episodes in the arrays of a file."""
     rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
     phis = _taken(arrays, np.flatnonzero(arrays["mode"] == Mode.SAFE)).adversary
     further = {name: one for name, one in arrays.items() if name not in (*_PER_EPISODE, "positions", *_OF_STATES)}
-    stored = _taken(
+    return _taken(
         arrays,
         rest,
         phis,
         margin_hits=_margin_hits(arrays, phis),
         further={name: one[rest] if name in _OF_EPISODES else one for name, one in further.items()},
     )
-    _ = stored.deviation  # a contact outside its last tick is found here
-    return stored
 
 
 def _taken(
@@ -426,11 +415,7 @@ def _taken(
 
 
 def _margin_hits(arrays: Mapping[str, Array], safe: Sequence[FloatArray]) -> tuple[tuple[Hit | None, ...], ...]:
-    """Return per φ the trajectory of minimal deviation of each trial, its deviation computed anew; empty without any.
-
-    Raises:
-        UsageError: a trajectory has another deviation than is said.
-    """
+    """Return per φ the trajectory of minimal deviation of each trial, its deviation computed anew; () without any."""
     if not len(arrays.get("margin", ())):
         return ()
     said, offsets, step, found = arrays["margin"], arrays["margin_offsets"], float(arrays["time_step"]), []
@@ -440,34 +425,10 @@ def _margin_hits(arrays: Mapping[str, Array], safe: Sequence[FloatArray]) -> tup
         tracks = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in known.tolist()]
         durations, speeds, gaps = (arrays[f"margin_{one}"][known] for one in ("duration", "impact_speed", "gap"))
         distances = deviation_pairs(phi, tracks, durations)
-        if (np.abs(distances - said[known]) > _ROUNDING).any():
-            raise UsageError("the trajectory of a margin has another deviation than it says")
         columns = ([Trajectory(track, step) for track in tracks], durations.tolist(), speeds.tolist(), gaps.tolist())
         hits = dict(zip(known.tolist(), map(Hit, distances.tolist(), *columns), strict=True))
         found.append(tuple(hits.get(row) for row in rows.tolist()))
     return tuple(found)
-
-
-def _mismatch(arrays: Mapping[str, Array]) -> str:
-    """Return why arrays are not those of episodes; empty where they are."""
-    offsets, rows = arrays["offsets"], len(arrays["positions"])
-    lengths, count = np.diff(offsets), len(offsets) - 1
-    cut = count > 0 and offsets[0] == 0 and offsets[-1] == rows and (offsets[1:] > offsets[:-1]).all()
-    of_states = [arrays[name] for name in _OF_STATES if name in arrays]
-    of_episodes = [arrays[name] for name in (*_PER_EPISODE, *_OF_EPISODES) if name in arrays]
-    if not cut or any(len(one) != rows for one in of_states) or any(len(one) != count for one in of_episodes):
-        return "its arrays do not go together"
-    is_safe, phi = arrays["mode"] == Mode.SAFE, arrays["safe_index"]
-    probes = (arrays["episode_id"] >> 48 == EpisodeGroup.PROBE).all()
-    if not probes and not (is_safe.any() and (phi >= 0).all() and (phi < is_safe.sum()).all()):
-        return "it has episodes of a φ that is not there"
-    # Of an episode that was aborted before it began, and of φ, there is no state of the car.
-    never_began = (arrays["outcome"] == Outcome.ABORTED) & (lengths == 1)
-    known = np.repeat(~(is_safe | never_began), lengths)
-    if not all(np.isfinite(one).all() for one in (arrays["positions"], arrays["car"][known], arrays["heading"][known])):
-        return "a state is not finite"
-    speeds = arrays["impact_speed"][~is_safe & (arrays["outcome"] == Outcome.COLLISION)]
-    return "" if (np.isfinite(speeds) & (speeds >= 0.0)).all() else "a collision has no impact speed"
 
 
 def failure_columns(failing: Mapping[int, EpisodeLog]) -> Columns:
