@@ -373,7 +373,8 @@ _ABSENT = {"risk": "risk_note", "price of caution": "price_note"}
 def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
     print(terminal.headline(result))
-    terminal.print_table(terminal.headline_table(result))
+    if (table := terminal.headline_table(result)).row_count:
+        terminal.print_table(table)
     beside = reference_text(result.get("reference") or ())
     reference = beside and f"Reference drivers: {beside}."
     absent = [f"No {name}: {why}." for name, key in _ABSENT.items() if (why := result.get(key))]
@@ -386,8 +387,8 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     if result["equivalent_multiplier_note"]:
         print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
     for table_of in (terminal.details_table, terminal.surrogate_table, terminal.safe_trajectory_table):
-        if table := table_of(result):
-            terminal.print_table(table)
+        if further := table_of(result):
+            terminal.print_table(further)
     for note in terminal.interval_notes(result):
         print(f"Interval of {note}")
     if result["until_width"]:

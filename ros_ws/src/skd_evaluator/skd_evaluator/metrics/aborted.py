@@ -134,7 +134,7 @@ def _of_kamikazes(figures: Figures, objective: str, entry: Figures, place: str, 
 
 def aborted_lines(figures: Figures) -> list[str]:
     """Return, a line each, how many episodes of a figure were aborted, and what it would be at worst."""
-    found = []
+    found, unknown = list[str](), list[str]()
     for scale in _scales(figures):
         if lost := scale.get("subset_aborted"):
             many = "1 crossing" if lost == 1 else f"{lost} crossings"
@@ -143,15 +143,16 @@ def aborted_lines(figures: Figures) -> list[str]:
         said = f"{one} {_were(one.aborted)} aborted and count{'s' * (one.aborted == 1)} for nothing"
         worst, value = at_worst(figures, one.figure), value_of(figures, one.figure)
         if value is None and one.aborted == one.episodes and worst is not None:
-            said += f"; no other is left, so {one.label} is not known"
-        elif worst is not None and value is not None:
+            unknown.append(one.label)
+            continue
+        if worst is not None and value is not None:
             how = "hit in it" if one.aborted == 1 else "hit in all of them"
             would, is_now = f"{100 * worst.value:.1f} %", f"{100 * value:.1f} %"
             if one.figure.startswith("objectives."):
                 how, would, is_now = f"{how} without any deviation", f"{worst.value:.3f} m", f"{value:.3f} m"
             said += f"; if the car had {how}, {one.label} would be {would} in place of {is_now}"
         found.append(said)
-    return found
+    return [*found, f"all episodes of {', '.join(unknown)} were aborted"] if unknown else found
 
 
 def too_many_aborted(figures: Figures, maximum: float) -> str | None:

@@ -182,7 +182,7 @@ def interval_notes(result: Mapping[str, Any]) -> list[str]:
 def few_safe_trajectories(result: Mapping[str, Any]) -> str | None:
     """Return what to know of intervals over hardly any φ, in one line; None where there are enough, or no interval."""
     count = len(result["per_safe_trajectory"])
-    if not 1 < count < _FEW:
+    if not 1 < count < _FEW or result["nominal_collision_rate"] is None:
         return None
     return f"Intervals over {count} φ say little. By default there are 20 φ."
 

@@ -119,9 +119,9 @@ def why_failed(assessment: Assessment, maximum_aborted: float, result: Result | 
         result: content of its assessment.json, where the assessment is of its episodes alone, which are not all.
     """
     result = result or assessment.as_dict()
-    nothing = undefined(result) if result["margin"] is None else None
-    found = (nothing, too_many_aborted(result, maximum_aborted), *not_credible(assessment.warnings))
-    return [why for why in found if why]
+    lost = too_many_aborted(result, maximum_aborted)
+    why = lost or (undefined(result) if result["margin"] is None else None)
+    return [*([why] if why else []), *not_credible(assessment.warnings)]
 
 
 def with_failures(assessment: Assessment, maximum_aborted: float) -> Assessment:
