@@ -366,21 +366,14 @@ def why_aborted(reasons: Sequence[str], logs: Path) -> str:
     return f"{counts_in_words(reasons)}; {more}"
 
 
-_ABSENT = {"risk": "risk_note", "price of caution": "price_note"}
-"""Rows that may be missing, by the key that says why."""
-
-
 def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
     print(terminal.headline(result))
     if (table := terminal.headline_table(result)).row_count:
         terminal.print_table(table)
     beside = reference_text(result.get("reference") or ())
-    reference = beside and f"Reference drivers: {beside}."
-    absent = [f"No {name}: {why}." for name, key in _ABSENT.items() if (why := result.get(key))]
-    for line in filter(
-        None, (*absent, reference, terminal.command_ages(result), terminal.few_safe_trajectories(result))
-    ):
+    said = [*terminal.missing_figures(result), beside and f"Reference drivers: {beside}."]
+    for line in filter(None, (*said, terminal.command_ages(result), terminal.few_safe_trajectories(result))):
         print(line)
     if not details:
         return

@@ -95,6 +95,12 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
+def missing_figures(result: Mapping[str, Any]) -> list[str]:
+    """Return why risk and price of caution are not among the rows, a line each; nothing where they are."""
+    notes = {"risk": "risk_note", "price of caution": "price_note"}
+    return [f"No {name}: {why}." for name, key in notes.items() if (why := result.get(key))]
+
+
 def command_ages(result: Mapping[str, Any]) -> str | None:
     """Return in one line how old the commands of a stack were; None of other cars."""
     age = result.get("command_age")

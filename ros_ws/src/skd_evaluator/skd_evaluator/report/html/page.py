@@ -20,7 +20,6 @@ from skd_evaluator import palette
 from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.results import read_result
-from skd_evaluator.metrics.aborted import aborted_lines
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.price_of_caution import does_not_get_past
 from skd_evaluator.metrics.risks import SCALES
@@ -37,7 +36,7 @@ from skd_evaluator.report.html.subjects import (
     worst_first,
 )
 from skd_evaluator.report.html.template import SECTIONS, filled
-from skd_evaluator.report.terminal import credibility, headline
+from skd_evaluator.report.terminal import credibility, headline, missing_figures
 from skd_evaluator.version import version
 
 LARGEST = 5_000_000
@@ -225,6 +224,7 @@ def sentences_of(subject: Subject) -> list[str]:
     if figures["margin"] is not None and figures["margin_beyond"] < figures["margin_trials"]:
         deviates = f"The {subject.scenario.adversary.kind} may deviate by {_bounded(subject, 'margin')} on average"
         found.append(f"{deviates} before the moving car hits. More is better. Ranges are 95 % intervals.")
+    found += missing_figures(figures)
     if figures["deviation"] is None:
         return [*found, "No planned kamikaze ran to its end."]
     adversary_model = figures.get("adversary_model")
@@ -249,7 +249,7 @@ def warnings_of(subject: Subject) -> list[str]:
     found += [f"measure {one['label']} failed: {one['error']}" for one in figures["measures"].values() if one["error"]]
     if far := figures["discarded_by_distance"]:
         found.append(f"{formats.counted(far, 'pair')} discarded, above the maximum distance")
-    found += [*(f"left out: {line}" for line in figures["left_out"]), *aborted_lines(figures)]
+    found += [f"left out: {line}" for line in figures["left_out"]]
     return list(dict.fromkeys(map(str, found)))
 
 

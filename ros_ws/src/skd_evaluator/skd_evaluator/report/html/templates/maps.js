@@ -85,7 +85,7 @@ class Maps {
     const found = all.length - beyond;
     const few = courses.length < found ? `, the ${margin ? "least " : ""}${courses.length} drawn` : "";
     const none = beyond ? `, none in ${beyond} of ${all.length} trials` : "";
-    const text = all.length ? `${found} trajectories${few}${none}` : "no kamikaze";
+    const text = all.length ? `${found} trajector${found === 1 ? "y" : "ies"}${few}${none}` : "no kamikaze";
     return html("figure", {}, picture.svg, html("figcaption", { textContent: `${phi.name}: ${text}` }));
   }
 }
