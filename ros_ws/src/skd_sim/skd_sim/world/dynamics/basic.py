@@ -198,10 +198,9 @@ def drive(
     for piece in range(1, pieces + 1):
         then = after if piece == pieces else speed + piece / pieces * (after - speed)
         held = _within_grip(angle, before, side, wheelbase)
-        moved = min(turn, max(-turn, steering - held))
-        angle = _within_grip(held + moved, then, side, wheelbase)
-        mean = held + moved * (1.0 - 0.5 * abs(moved) / turn)  # the wheels may be there before the piece ends
-        tangent = math.tan(_within_grip(mean, 0.5 * (before + then), side, wheelbase))
+        angle = _within_grip(held + min(turn, max(-turn, steering - held)), then, side, wheelbase)
+        moved = min(turn, max(-turn, _within_grip(steering, 0.5 * (before + then), side, wheelbase) - held))
+        tangent = math.tan(held + moved * (1.0 - 0.5 * abs(moved) / turn))  # it may be there before the piece ends
         slip = math.atan(behind / wheelbase * tangent)
         curvature, distance = math.cos(slip) * tangent / wheelbase, travelled(before, then, duration / pieces)
         x, y, course = advanced(x, y, heading + slip, curvature, distance)
