@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Hashable, Iterable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, cast
+from typing import Annotated, Any, Self, TypeVar, cast
 
 from pydantic import ConfigDict, Field, StrictBool, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
@@ -17,9 +17,6 @@ from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, near_or_all
 from skd_sim.inputs.yaml_file import name_of_key, short
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 Model = TypeVar("Model")
 YesNo = StrictBool
@@ -42,7 +39,7 @@ class Frozen:
         return self
 
 
-def plain(model: DataclassInstance, empty: tuple[Any, ...] = (None, ())) -> dict[str, Any]:
+def plain(model: Any, empty: tuple[Any, ...] = (None, ())) -> dict[str, Any]:
     """Return a model as nested plain data, without the keys whose values are empty: those that a file leaves out."""
     return dataclasses.asdict(model, dict_factory=lambda items: {key: one for key, one in items if one not in empty})
 
