@@ -1,6 +1,6 @@
 """What the tests of packages, launch files and scripts share."""
 
-import ast
+import configparser
 import importlib
 import re
 import shlex
@@ -48,22 +48,16 @@ def defaults_on_file(node: str) -> dict[str, Any]:
     return dict(content[f"/**/{node}"]["ros__parameters"])
 
 
-def setup_arguments(package: str) -> dict[str, Any]:
-    """Return what a package's setup.py says, as far as it is literal."""
-    tree = ast.parse((SOURCE / package / "setup.py").read_text(encoding="utf-8"))
-    (call,) = [one for one in ast.walk(tree) if isinstance(one, ast.Call) and getattr(one.func, "id", "") == "setup"]
-    found = {}
-    for keyword in call.keywords:
-        try:
-            found[str(keyword.arg)] = ast.literal_eval(keyword.value)
-        except ValueError:
-            found[str(keyword.arg)] = ast.unparse(keyword.value)
-    return found
+def setup_section(package: str, section: str) -> configparser.SectionProxy:
+    """Return what a package's setup.cfg says in a section."""
+    found = configparser.ConfigParser()
+    found.read(SOURCE / package / "setup.cfg", encoding="utf-8")
+    return found[section]
 
 
 def executables(package: str) -> dict[str, str]:
     """Return the console scripts of a package: name → module:function."""
-    scripts = setup_arguments(package)["entry_points"]["console_scripts"]
+    scripts = setup_section(package, "options.entry_points")["console_scripts"].strip().splitlines()
     return dict(tuple(part.strip() for part in script.split("=")) for script in scripts)
 
 

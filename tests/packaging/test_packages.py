@@ -1,4 +1,4 @@
-"""package.xml, setup.py and the parameter files say what the code says."""
+"""package.xml, setup.cfg and the parameter files say what the code says."""
 
 import re
 import sys
@@ -6,7 +6,7 @@ import tomllib
 
 import pytest
 from common import imported
-from packaging_support import ALL_NODES, PYTHON_PACKAGES, ROOT, SOURCE, defaults_on_file, settings, setup_arguments
+from packaging_support import ALL_NODES, PYTHON_PACKAGES, ROOT, SOURCE, defaults_on_file, settings, setup_section
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions
 from skd_sim.options.options import SimulatorOptions, options_of
 from skd_sim.ros.support import descriptor_of
@@ -45,7 +45,7 @@ def test_package_xml_is_valid(package):
 def test_versions_agree():
     catkin = pytest.importorskip("catkin_pkg.package")
     versions = {str(catkin.parse_package(str(SOURCE / package)).version) for package in PACKAGES}
-    versions |= {setup_arguments(package)["version"] for package in PYTHON_PACKAGES}
+    versions |= {setup_section(package, "metadata")["version"] for package in PYTHON_PACKAGES}
     assert len(versions) == 1
     assert f'version = "{versions.pop()}"' in (SOURCE.parents[1] / "pyproject.toml").read_text(encoding="utf-8")
 
@@ -59,7 +59,7 @@ def test_dependencies_are_what_is_imported(package):
     assert needed - declared == set(), "imported, but not in package.xml"
     assert declared - needed - NOT_IMPORTED == set(), "in package.xml, but not imported"
     missing = {DISTRIBUTIONS.get(name, name) for name in needed_by(package) & NOT_IN_ROSDEP}
-    assert missing <= set(setup_arguments(package)["install_requires"])
+    assert missing <= set(setup_section(package, "options")["install_requires"].split())
 
 
 @pytest.mark.parametrize("node", ALL_NODES)
