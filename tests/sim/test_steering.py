@@ -126,8 +126,11 @@ def test_tyres_hold_braking_first() -> None:
                     assert sideways <= allowed * 1.001 + 0.002  # the arc of a piece beside the limit at its two ends
 
 
-def simulated(log: EpisodeLog) -> tuple[FloatArray, FloatArray]:
-    """Return gaps between road user and car, m, and their times, s, by the bicycle's equations in steps of 1 ms."""
+def simulated(log: EpisodeLog) -> FloatArray:
+    """Return, by the bicycle's equations in steps of 1 ms, gaps between road user and car, m, times, s, and offsets, m.
+
+    These are of the corner that is farthest from the middle of the lane.
+    """
     scenario, step = log.episode.scenario, 1e-3
     x, y, heading, speed = log.car[0].tolist()
     draws = np.random.Generator(np.random.PCG64(np.random.SeedSequence(5, spawn_key=(log.episode.episode_id, 0))))
@@ -156,10 +159,10 @@ def simulated(log: EpisodeLog) -> tuple[FloatArray, FloatArray]:
             cos, sin, dx, dy = math.cos(heading), math.sin(heading), at[0] - x, at[1] - y
             outside = abs(cos * dx + sin * dy) - scenario.car.front, abs(cos * dy - sin * dx) - scenario.car.half_width
             gap = math.hypot(*(max(0.0, one) for one in outside)) - (scenario.adversary.radius or 0.0)
-            found.append((gap, (tick + share) * scenario.time_step))
+            aside = abs(x + np.outer((2.25, -2.25), cos) + np.outer((0.9, -0.9), sin).T).max()
+            found.append((gap, (tick + share) * scenario.time_step, aside))
         assert abs(speed - max(0.0, start + rate * scenario.control_duration)) < 1e-6
-    gaps, times = np.array(found).T
-    return gaps, times
+    return np.array(found).T
 
 
 @pytest.mark.parametrize("period", [0.05, None])
@@ -167,7 +170,7 @@ def test_contacts_are_those_of_steps_of_a_millisecond(period: float | None) -> N
     logs = [run(episode(number, period=period), Weaving(period)) for number in range(12)]
     hits = 0
     for log in logs:
-        gaps, times = simulated(log)
+        gaps, times, _ = simulated(log)
         if collision_partner(log) == ADVERSARY:
             hits += 1
             assert abs(np.interp(log.impact_time, times, gaps)) < 3e-3
@@ -263,22 +266,21 @@ class LaneChange(Constant):
         return 0.0, 0.15 * ((0.5 <= time < 1.0) - (1.0 <= time < 1.5))
 
 
-def test_the_time_out_of_the_lane_is_right_to_a_control_period() -> None:
+class Winding(LaneChange):
+    """Drives with one side on the line of its lane, and turns its wheels to either side 1.6 times a second."""
+
+    def command(self, car: CarState, adversary: AdversaryState) -> Any:
+        self.calls += 1
+        return 0.0, 0.5 * (0.35 * (car.x + 0.85) + math.pi / 2.0 - car.heading) + 0.06 * math.sin(0.5 * self.calls)
+
+
+@pytest.mark.parametrize("car", [LaneChange, Winding])
+def test_the_time_out_of_the_lane_is_right_to_a_control_period(car: type[LaneChange]) -> None:
     spec = far_away(two_lanes())
-    log, poses = run(spec, LaneChange(0.0)), []
-    car = BasicCar(spec.scenario)
-    car.reset(CarState(*log.car[0].tolist()))
-    for command in log.commands.tolist():
-        poses.append(car.advance(tuple(command), 0.05, QUIET)[-1])
-    assert np.array(poses[-1]) == pytest.approx(log.car[-1])
-    corners = [
-        x + ahead * math.cos(heading) - left * math.sin(heading)
-        for x, _, heading, _ in poses
-        for ahead, left in ((2.25, 0.9), (2.25, -0.9), (-2.25, 0.9), (-2.25, -0.9))
-    ]
-    out = (np.abs(np.array(corners).reshape(-1, 4)) > 1.75).any(axis=1)
-    assert 0.5 < 0.05 * out.sum() < 5.0
-    assert lane_left(log) == pytest.approx(0.05 * out.sum(), abs=0.051)
+    log = run(spec, car(0.0))
+    out = 1e-3 * np.count_nonzero(simulated(log)[2] > 1.75)
+    assert 0.5 < out < 5.0
+    assert lane_left(log) == pytest.approx(out, abs=0.02)
     assert lanes_left([*map(lane_left, (log, run(spec, Constant(0.0))))]) == (0.5, pytest.approx(lane_left(log)))
 
 

@@ -10,7 +10,6 @@ import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Final, TextIO
 
 import numpy as np
@@ -20,7 +19,7 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import FloatArray, RoadUserState
 
 from skd_evaluator.assessment.plan import split_episode_id
-from skd_evaluator.assessment.plausibility import between
+from skd_evaluator.assessment.plausibility import driven_paths
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, leaves_line, outline_of
 from skd_evaluator.metrics.entry import Entry
@@ -94,10 +93,6 @@ STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
 
 
-_PARTS = 12
-"""Of a tick, at least, at whose ends it is looked whether the car is in its lane."""
-
-
 _ASIDE = 0.05
 """m that a car which keeps to its lane stays within."""
 
@@ -114,14 +109,12 @@ def lane_left(log: EpisodeLog) -> float:
         return math.nan
     if not steers(log):
         return 0.0
-    scenario, seconds = log.episode.scenario, 0.0
-    half = 0.5 * scenario.road.lane_width
-    for before, after in pairwise(log.car):
-        path = between(before, after, _PARTS)
-        places = (path[row : row + 1] for row in range(1, len(path)))
-        out = [beyond(scenario.road.line, (half, half), scenario.car.footprint, place) >= 0 for place in places]
-        seconds += scenario.time_step * float(np.mean(out))
-    return seconds
+    road, footprint, shares = log.episode.scenario.road, log.episode.scenario.car.footprint, list[float]()
+    edges = 0.5 * road.lane_width, 0.5 * road.lane_width
+    for path in driven_paths(log):
+        out = [beyond(road.line, edges, footprint, path[row : row + 1]) >= 0 for row in range(1, len(path))]
+        shares.append(float(np.mean(out)))
+    return (len(log.car) - 1) * log.episode.scenario.time_step * float(np.mean(shares))
 
 
 def standing_contacts(logs: Iterable[EpisodeLog]) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -110,6 +111,22 @@ def between(before: FloatArray, after: FloatArray, pieces: int) -> FloatArray:
         path[piece, 1] -= bulge * dx
         path[piece, 2] = before[2] + share * turned
     return path
+
+
+def driven_paths(log: EpisodeLog) -> list[FloatArray]:
+    """Return the car's path in parts of equal time, as the world drives it by the commands.
+
+    Where they are not known, or another simulator drove otherwise, the parts are arcs between the states.
+    """
+    commands = [] if log.commands is None else log.commands.tolist()
+    world, periods, paths = make_world(log.episode), log.episode.scenario.control_periods, list[FloatArray]()
+    for number in range((len(log.car) - 1) * periods if commands else 0):
+        held = commands[min(number, len(commands) - 1)]  # the last one from a contact on
+        paths.append(world.advance(world.limits.possible((held[0], held[1]))))
+    ends = [path[-1] for path in paths[periods - 1 :: periods]]
+    if ends and np.abs(np.array(ends) - log.car[1:]).max() <= ROUNDING:
+        return paths
+    return [between(before, after, _LOOKS) for before, after in pairwise(log.car)]
 
 
 def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
@@ -392,7 +409,7 @@ def _touched(log: EpisodeLog) -> str:
         if _gap_at(log, np.array(place[:2])) <= other.reach + play_of(step):
             return ""
     car, road = scenario.car, scenario.road
-    outside = car.front + _SLACK, car.rear + _SLACK, car.half_width + _SLACK
+    outside = car.front + play_of(step), car.rear + play_of(step), car.half_width + play_of(step)
     if beyond(road.line, road.edges, outside, between(log.car[-2], log.car[-1], _LOOKS)) >= 0:
         return ""
     if gap > scenario.adversary.reach + play_of(step):

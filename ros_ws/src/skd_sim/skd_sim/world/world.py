@@ -71,11 +71,6 @@ class World:
         self.dynamics.reset(self.car)
         self._origin = self.adversary  # where the adversary was when the tick began
 
-    @property
-    def time(self) -> float:
-        """Simulated time since the start, s."""
-        return (self.tick + self.period / self.scenario.control_periods) * self.scenario.time_step
-
     def step(self, command: Command, velocity: Pair) -> Contact | None:
         """Advance by one control period, which may be the whole time step; return the collision in it, if any.
 
@@ -91,37 +86,37 @@ class World:
         pair = as_pair(command)
         possible = self.limits.possible(pair)
         self.clipped += possible != pair
-        self.adversary, contact = self._meet(self._advance(possible), (vx, vy))
-        self.period += 1
-        while contact is not None and self.period < self.scenario.control_periods:
-            self._advance(possible)
-            self.period += 1
-        if self.period == self.scenario.control_periods:
-            self.tick, self.period = self.tick + 1, 0
-            self._origin = self.adversary
+        tick, period = self.tick, self.period
+        self.adversary, contact = self._meet(self.advance(possible), (vx, vy), tick, period)
+        while contact is not None and self.period > 0:
+            self.advance(possible)
         return contact
 
-    def _advance(self, command: Pair) -> FloatArray:
+    def advance(self, command: Pair) -> FloatArray:
+        """Drive the car on by one control period under a command that it can follow; return its path."""
         if self.period == 0:
             self._noise = self.dynamics.draw(self._rng)
         periods = self.scenario.control_periods
         noise = Noise(self._noise.speed / periods, self._noise.acceleration)
         path = self.dynamics.advance(command, self.scenario.time_step / periods, noise)
         self.car = CarState(*path[-1].tolist())
+        tick, self.period = divmod(self.period + 1, periods)
+        self.tick += tick
         return path
 
-    def _meet(self, path: FloatArray, velocity: Pair) -> tuple[AdversaryState, Contact | None]:
+    def _meet(self, path: FloatArray, velocity: Pair, tick: int, period: int) -> tuple[AdversaryState, Contact | None]:
         """Return where the adversary is after a period beside the car's path, and the collision in it; change nothing.
 
         Args:
             path: path of the car in the period; see `CarDynamics.advance`.
             velocity: velocity of the adversary, (East, North), m/s.
+            tick: number of the tick.
+            period: number of the period in it.
 
         Returns:
             The state at the end of the period, or of the tick where there is a collision; its fraction is of the tick.
         """
-        origin = self._origin if self.period else self.adversary
-        period, periods = self.period, self.scenario.control_periods
+        origin, periods = self._origin, self.scenario.control_periods
         heading = 0.0
         if self.scenario.adversary.is_box:
             heading = float(on_grid(self.scenario.adversary.heading(origin.heading, *velocity)))
@@ -129,7 +124,7 @@ class World:
         x, y = origin.x + step * velocity[0], origin.y + step * velocity[1]
         moves: list[Move] = [(origin[:2], (x, y), velocity, heading)]
         if self.scenario.others:
-            others = self.scenario.others_at(self.tick), self.scenario.others_at(self.tick + 1)
+            others = self.scenario.others_at(tick), self.scenario.others_at(tick + 1)
             moves += [(one[:2], then[:2], then[2:4], then.heading) for one, then in zip(*others, strict=True)]
         contact = first_contact_of(self.scenario, path, moves, self.dynamics.steered, step, period, periods)
         counts = contact.fraction <= 1.0
