@@ -69,7 +69,7 @@ def test_an_episode_survives_its_message():
         ('{"particles": -1}', "particles must be a whole number from 0 to 1000000, got -1"),
         ('{"particles": 1.5}', "particles must be a whole number from 0 to 1000000, got 1.5"),
         ('{"particles": true}', "particles must be a whole number from 0 to 1000000, got True"),
-        ('{"particles": NaN}', "NaN is no number"),
+        ('{"particles": NaN}', "not JSON that SKD reads: expected value at line 1 column 15"),
         (
             '{"adversary_model": "larned"}',
             "adversary_model must be one of generic, learned, exact, got 'larned'; did you mean",
