@@ -13,7 +13,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.plausibility import ROUNDING, examine
 from skd_evaluator.assessment.run.episodes import Replay, replayed, run_episode
 from skd_evaluator.assessment.stages.kamikazes import with_steering
-from skd_evaluator.metrics.contact_place import car_at_contact
+from skd_evaluator.metrics.contact_place import car_at_contact, outline_of
 from skd_evaluator.metrics.deviation import hit_of
 from skd_evaluator.metrics.price_of_caution import lanes_left
 from skd_sim.controllers.controller import user_controller
@@ -278,7 +278,9 @@ class Winding(LaneChange):
 def test_the_time_out_of_the_lane_is_right_to_a_control_period(car: type[LaneChange]) -> None:
     spec = far_away(two_lanes())
     log = run(spec, car(0.0))
-    out = 1e-3 * np.count_nonzero(simulated(log)[2] > 1.75)
+    offsets = simulated(log)[2]
+    assert np.abs(outline_of(spec.scenario, log.car[-1, :3])[:, 0]).max() == pytest.approx(offsets[-1], abs=1e-3)
+    out = 1e-3 * np.count_nonzero(offsets > 1.75)
     assert 0.5 < out < 5.0
     assert lane_left(log) == pytest.approx(out, abs=0.02)
     assert lanes_left([*map(lane_left, (log, run(spec, Constant(0.0))))]) == (0.5, pytest.approx(lane_left(log)))
