@@ -164,6 +164,9 @@ def log_of(folder: Path, reason: str) -> Path:
     return next((log for log in logs if log.exists()), folder)
 
 
+_LIMITED = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
+
+
 class _Process:
     """A program that runs, or can be started; a shell beside it kills its group when this process has died."""
 
@@ -194,7 +197,8 @@ class _Process:
                     preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # whatever this process does
                 )
             except OSError as error:
-                raise UsageError(f"{self.name} cannot be started: {error.strerror}: {command[0]}") from error
+                more = _LIMITED if command[0] == "ros2" else ""
+                raise UsageError(f"{self.name} cannot be started: {error.strerror}: {command[0]}{more}") from error
         self._watch = subprocess.Popen(
             ["/bin/sh", "-c", _WATCH, "sh", str(self._popen.pid)],
             stdin=subprocess.PIPE,
@@ -290,8 +294,7 @@ class Supervisor:
             if process.restarts > _RESTARTS or ((lacks or code in _CANNOT_START) and process.restarts > 1):
                 hint = ""
                 if lacks and not is_sourced(process.program.environment):
-                    others = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
-                    hint = "; write python3, not a path: SKD's Python has it" if "'rclpy'" in last[-1] else others
+                    hint = "; write python3, not a path: SKD's Python has it" if "'rclpy'" in last[-1] else _LIMITED
                 process.given_up = f"{problem}, {process.restarts} times; the last line of its log: {last[-1]}{hint}"
                 raise GraphError(process.given_up)
             process.start()
