@@ -214,8 +214,8 @@ def state_of(subject: Subject) -> str:
 
 
 def sentences_of(subject: Subject) -> list[str]:
-    """Return what was found about a car: the headline of the terminal, and what planned kamikazes came to beside it."""
-    figures, ranking = subject.figures, subject.ranking
+    """Return what was found about a car: the headline of the terminal, and what it means."""
+    figures = subject.figures
     if state_of(subject) == "failed":
         aborted = figures["aborted"]
         why = f"{formats.counted(aborted, 'episode')} were aborted" if aborted else "none was planned"
@@ -224,19 +224,8 @@ def sentences_of(subject: Subject) -> list[str]:
     if figures["margin"] is not None and figures["margin_beyond"] < figures["margin_trials"]:
         deviates = f"The {subject.scenario.adversary.kind} may deviate by {_bounded(subject, 'margin')} on average"
         found.append(f"{deviates} before the moving car hits. More is better. Ranges are 95 % intervals.")
-    found += missing_figures(figures)
-    if figures["deviation"] is None:
-        return [*found, "No planned kamikaze ran to its end."]
-    adversary_model = figures.get("adversary_model")
-    known = f" (adversary model: {adversary_model})" if adversary_model else ""
-    kamikazes, hit = formats.counted(ranking["trials"], "kamikaze"), ranking["trials"] - ranking["failed"]
-    if not hit:
-        return [*found, f"None of {kamikazes}{known} was hit."]
-    enough = ranking["failed"] and hit == figures["margin_trials"]
-    until = f" until {hit} were hit" if enough else f"; {hit} of them were hit"
-    planned = f"{kamikazes}{known} were planned{until}"
-    counts = f"; one that was not hit counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
-    return [*found, f"{planned}. They needed {formats.number(figures['deviation'], 3, 'm')} on average{counts}."]
+    nothing = [] if figures["deviation"] is not None else ["No planned kamikaze ran to its end."]
+    return [*found, *missing_figures(figures), *nothing]
 
 
 def warnings_of(subject: Subject) -> list[str]:
