@@ -200,12 +200,11 @@ def runs_table(runs: Sequence[Run]) -> Table:
             _number(run.figures["margin_ci95"], 2),
             TERMINAL.share(run.figures["nominal_collision_rate"]),
             str(len(run.figures["per_safe_trajectory"])),
-            run.revision or _UNKNOWN,
             _minute(run.date),
         )
         for run in runs
     ]
-    heads = ("margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ", "code of\nthe car", "date\n(UTC)")
+    heads = ("margin\n(m)", "95 %,\nby φ", "nominal\ncoll.", "φ", "date\n(UTC)")
     title += "" if several else f"; scenario {escape(runs[0].scenario)}"
     return narrow_table(title, ("folder", "car", *(["scenario"] * several), *heads), rows, whole=True)
 

@@ -31,9 +31,9 @@ _number, _percent = TERMINAL.number, TERMINAL.share
 
 
 def bounded_cell(result: Mapping[str, Any], text: str) -> str:
-    """Return a cell with a margin, or what follows from it; in two lines and red where it is but a bound."""
+    """Return a cell with a margin, or what follows from it; red where it is but a bound."""
     said = formats.bounded(result, text)
-    return said if said == text else f"[red]{said.replace('at most ', 'at most' + chr(10))}[/]"
+    return said if said == text else f"[red]{said.replace('at most', '≤')}[/]"
 
 
 def credibility(warnings: Iterable[object]) -> str:
@@ -219,7 +219,7 @@ def narrow_table(
 ) -> Table:
     """Return a table that spends no columns on edges and padding: for many figures a row; only figures stand right.
 
-    With `whole` figures are never broken, however narrow the terminal is.
+    With `whole` figures and dates are never broken, however narrow the terminal is.
     """
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
     for place, name in enumerate(heads):
@@ -227,7 +227,7 @@ def narrow_table(
         if right:
             table.add_column(name, justify="right", no_wrap=whole, overflow="fold" if whole else "ellipsis")
         else:
-            table.add_column(name, overflow="fold")
+            table.add_column(name, overflow="fold", no_wrap=whole and name.startswith("date"))
     for row in rows:
         table.add_row(*row)
     return table

@@ -34,8 +34,8 @@ def _known(value: float | None) -> float:
 def add(parser: Parser) -> None:
     """List results under a folder, or how a car has changed from one to the next.
 
-    List the assessments in and under folders: car, margin, date, and commit of the car's code. With --trend say of each
-    car whether it is safer than in the assessment before, as skd compare does.
+    List the assessments in and under folders, and those that were interrupted. With --trend say of each car whether it
+    is safer than in the assessment before, as skd compare does.
     """
     parser.set_defaults(group="look")
     text = "folder of results, or one above some (default: skd_results)"
