@@ -76,8 +76,8 @@ def test_a_car_that_does_not_repeat_its_hits_is_left_as_it_was(results):
     changed = replace(deep, figures={**deep.figures, "controller": "cal"})
     first, _, lines = on_common_trajectories(changed, results["shallow"], quiet)
     assert first is changed
-    assert lines[0].startswith(f"{deep.folder}: not tried on the trajectories")
-    assert lines[0].endswith("its code has changed, or it does not repeat itself")
+    assert lines[-1].startswith(f"{deep.folder}: not tried on the other's trajectories")
+    assert lines[-1].endswith("its code has changed, or it does not repeat itself")
 
 
 def test_exact_margins_stay(results):

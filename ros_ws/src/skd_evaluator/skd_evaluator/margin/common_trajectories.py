@@ -57,7 +57,7 @@ def on_common_trajectories(
     searched = [one for one in both if one.figures.get("margin_budget") is not None]
     if not searched or any(MARGIN not in one.groups for one in both) or refusals(first, second):
         return first, second, ()
-    found, lines = [], []
+    found, lines, untried = [], list[str](), dict[str, list[str]]()
     for one, other in (both, both[::-1]):
         if one not in searched:
             found.append(one)
@@ -68,7 +68,7 @@ def on_common_trajectories(
             margins = _margins(one, offered, progress)
         except (AssessmentError, UsageError) as error:
             found.append(one)
-            lines.append(f"{one.folder}: not tried on the trajectories that were found for {other.folder}: {error}")
+            untried.setdefault(str(error), []).append(str(one.folder))
             continue
         before, after = (mean(np.concatenate(groups)) for groups in (one.groups[MARGIN], margins))
         found.append(replace(one, groups={**one.groups, MARGIN: margins}))
@@ -77,6 +77,7 @@ def on_common_trajectories(
                 f"{one.folder}: trajectories that were found for {other.folder} lower its margin from {before:.3f} to "
                 f"{after:.3f} m; the comparison uses that"
             )
+    lines += [f"{' and '.join(one)}: not tried on the other's trajectories: {why}" for why, one in untried.items()]
     return found[0], found[1], tuple(lines)
 
 
@@ -187,7 +188,7 @@ def _car_of(result: StoredResult) -> CarUnderTest:
     simulator = str((figures.get("options") or {}).get("simulator", WORLD))
     car = CarUnderTest(figures["controller"], figures["multiplier"] or CarUnderTest.multiplier)
     if car.is_external or not is_own_world(simulator):
-        raise UsageError("its car is a node of its own" if car.is_external else f"it was in simulator {simulator}")
+        raise UsageError("a node of its own" if car.is_external else f"it was in simulator {simulator}")
     return car
 
 

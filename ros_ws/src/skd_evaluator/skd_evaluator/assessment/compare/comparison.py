@@ -15,6 +15,7 @@ a search may have missed is part of the interval of the difference.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -410,12 +411,10 @@ def _of_the_judge(held: Comparison) -> list[str]:
             budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
             allowed = f"the interval is wider by {100 * CONVERGED_WITHIN:g} % for that"
             found.append(f"the margins were searched with {budgets} candidates a trial: {allowed}")
-        tracks = [one.figures["margin_how"] or "" for one in both]
+        tracks = [re.sub(r"^by up to \d+ |;.*", "", one.figures["margin_how"] or "") for one in both]
         if tracks[0] != tracks[1]:
-            said = " and ".join(track or "on the car itself, in process" for track in tracks)
-            found.append(
-                f"margins of {held.first.folder} and {held.second.folder} were found in different ways: {said}"
-            )
+            said = " and ".join(track or "runs in process" for track in tracks)
+            found.append(f"the margins were found in different ways: {said}")
         if held.disagree:
             found.append(
                 f"inconclusive: margins and planned deviations of {held.first.folder} and {held.second.folder} say the "
