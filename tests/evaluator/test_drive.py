@@ -132,7 +132,7 @@ def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
     one_line(skd_here("drive", "--safe", "good.csv", "--safe-number", "1"), 2, "--safe-number 1", "1 safe")
     one_line(skd_here("drive", "--ticks", "1", "--safe-number", "1"), 2, "--safe-number 1", "add --safe")
     one_line(skd_here("drive", "--ticks", "1", "--controller", "external"), 2, "add --graph")
-    one_line(skd_here("drive", "--ticks", "1", "-p", "command_type:=twist"), 2, "add --graph")
+    one_line(skd_here("drive", "--ticks", "1", "-p", "command_type:=twist"), 2, "goes with --controller external")
 
 
 def test_on_a_terminal_one_walks_by_keys(here):

@@ -157,8 +157,8 @@ def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_pat
         np.testing.assert_array_equal(marks(axes, palette.MARGIN.lower()), [way[-1] for way in ways])
         counts = [0.2 + 0.1 * k for k in range(2 + number)]
         margin = (sum(counts) + CROSSING.eta_max) / (len(counts) + 1)
-        assert f"margin {margin:.2f} m, planned" in axes.get_title()
-    assert f"margin {rating.margins.mean:.2f} m" in figures[0].get_suptitle()
+        assert f"margin {margin:.3f} m, planned" in axes.get_title()
+    assert f"margin {rating.margins.mean:.3f} m" in figures[0].get_suptitle()
 
 
 def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):

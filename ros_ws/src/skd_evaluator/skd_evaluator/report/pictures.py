@@ -489,9 +489,10 @@ def _figures(
 ) -> str:
     """Return those of three means (m) that are the car's own in this picture; others are of no use beside these."""
     single, ranks = len(assessment.results) == 1, result is assessment.for_deviation
-    plans_skd = single or result is not assessment.for_skd
-    known = ("margin", margin, ranks), ("planned deviation", deviation, plans_skd), ("SKD", skd, single or not ranks)
-    return ", ".join(f"{name} {value:.2f} m" for name, value, own in known if own and value is not None)
+    plans_skd, margins = single or result is not assessment.for_skd, assessment.margins
+    least = "margin" if margins is None or margins.converged else "margin at most"
+    known = (least, margin, ranks), ("planned deviation", deviation, plans_skd), ("SKD", skd, single or not ranks)
+    return ", ".join(f"{name} {value:.3f} m" for name, value, own in known if own and value is not None)
 
 
 def _heading(assessment: Assessment, result: ObjectiveResult) -> str:
