@@ -175,19 +175,20 @@ def test_skd_of_other_kamikazes_is_left_out_where_deviations_compare() -> None:
     assert "skd" not in found.differences
 
 
-@pytest.mark.parametrize(
-    ("shift", "verdict"), [(-1.0, INCONCLUSIVE), (0.0, SAFER), (1.0, SAFER)], ids=["opposite", "unsure", "same"]
-)
-def test_where_planned_kamikazes_say_the_opposite_for_sure_nothing_is_said(shift: float, verdict: str) -> None:
+@pytest.mark.parametrize("shift", [-1.0, 0.0, 1.0], ids=["opposite", "unsure", "same"])
+def test_planned_kamikazes_decide_nothing_beside_margins(shift: float) -> None:
     rng = np.random.default_rng(4)
     planned = values(6) + 1.0
     other = planned + shift + 0.05 * rng.standard_normal((8, 1))
     first = result("a", values(1), planned=planned)
-    found = compare(first, result("b", values(1, shift=0.5), planned=other))
+    second = result("b", values(1, shift=0.5), planned=other)
+    found = compare(first, second)
     assert found.differences["margin"].direction == 1
     assert found.differences["deviation"].direction == np.sign(shift)
-    assert found.verdict == verdict
-    assert any("opposite" in line for line in found.lines()) == (verdict == INCONCLUSIVE)
+    assert found.verdict == SAFER
+    assert any("opposite" in line for line in found.lines()) == (shift < 0.0)
+    assert not_worse(first, second).failed
+    assert not not_worse(second, first).failed
 
 
 OPEN = {"margin_converged": False, "margin_budget": 512}

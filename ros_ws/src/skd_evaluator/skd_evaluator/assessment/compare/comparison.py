@@ -3,8 +3,8 @@
 Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
 so or tie, and one of them says so; and if the estimate of neither the margin nor R(2), the risk that ranks, points the
 other way: what is no longer a tie need not be significant to withhold it. Figures of planned kamikazes depend on car
-and adversary: they are compared only if adversary model and objective were the same. Then they may object: if planned
-deviations surely say the opposite of the margins, the comparison is inconclusive.
+and adversary: they are compared only if adversary model and objective were the same, and decide only where a
+car has no margin.
 
 Safety has a price (`metrics/price_of_caution.py`), which the verdict names; a car that does not get past people is not
 called safer. Nor is one that hits harder, in nearly all trials.
@@ -93,12 +93,6 @@ class Comparison:
         return None
 
     @property
-    def disagree(self) -> bool:
-        """Whether margins and planned deviations say the opposite of each other, both for sure."""
-        both = [self.differences[name] for name in (MARGIN, DEVIATION) if name in self.differences]
-        return len(both) == 2 and both[0].direction * both[1].direction < 0
-
-    @property
     def verdict(self) -> str:
         """What is said of the second car: the first of these rows that holds."""
         said, keeps_out = self._said, self._keeps_out
@@ -132,7 +126,7 @@ class Comparison:
     def by_figures(self) -> int:
         """1: margin and risk say that the second car is safer; −1: less safe; 0: nothing, or they disagree."""
         says = set(self._sure.values())
-        return 0 if self.disagree or len(says) != 1 or self.opposed else says.pop()
+        return 0 if len(says) != 1 or self.opposed else says.pop()
 
     @property
     def _said(self) -> int:
@@ -164,7 +158,6 @@ class Comparison:
     def reason(self) -> str:
         """Why the verdict is withheld, in a few words; empty where it is not, or where nothing tells the cars apart."""
         rows = (
-            (self.disagree, "margin and planned deviation disagree"),
             (len(set(self._sure.values())) == 2, f"{'margin and risk' if MARGIN in self._sure else 'risks'} disagree"),
             (self.bounded is not None, "upper bound"),
             (bool(self.opposed), f"{_labels(self.opposed)} points the other way"),
@@ -210,7 +203,7 @@ class Comparison:
 
         It decides at a gate, which does not wait until all estimates point one way.
         """
-        return next(iter(self._sure)) if set(self._sure.values()) == {-1} and not self.disagree else None
+        return next(iter(self._sure)) if set(self._sure.values()) == {-1} else None
 
     @property
     def _sure(self) -> dict[str, int]:
@@ -415,10 +408,10 @@ def _of_the_judge(held: Comparison) -> list[str]:
         if tracks[0] != tracks[1]:
             said = " and ".join(track or "runs in process" for track in tracks)
             found.append(f"the margins were found in different ways: {said}")
-        if held.disagree:
+        deviation = held.differences.get(DEVIATION)
+        if deviation is not None and held.differences[MARGIN].direction * deviation.direction < 0:
             found.append(
-                f"inconclusive: margins and planned deviations of {held.first.folder} and {held.second.folder} say the "
-                "opposite of each other"
+                "planned deviations say the opposite of the margins, and do not decide: plans depend on the adversary"
             )
         return found
     unknown = [(one.folder, one.figures["margin_note"]) for one in both if MARGIN not in one.groups]
