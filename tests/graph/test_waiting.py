@@ -106,6 +106,17 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
         "/stack listens to /odom, where no node publishes: remap it (-r odom:=/ego/odometry)",
         {},
     ),
+    "hears nothing of the pedestrian": (
+        (COMMANDS_IT, HEARS, listens(Odometry, "/obstacle")),
+        "/stack listens to /obstacle, where no node publishes: remap it (-r obstacle:=/adversary/odometry)",
+        {},
+    ),
+    "hears nothing of either": (
+        (COMMANDS_IT, listens(Odometry, "/obstacle"), listens(Odometry, "/odom")),
+        "/stack listens to /odom and /obstacle, where no node publishes: "
+        "remap it (-r odom:=/ego/odometry -r obstacle:=/adversary/odometry)",
+        {},
+    ),
     "hears nothing of the car": (
         (COMMANDS_IT, listens(Odometry, "/odom"), listens(Odometry, "/adversary/odometry")),
         "/stack listens to /odom, where no node publishes: remap it (-r odom:=/ego/odometry)",
@@ -114,7 +125,7 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
     "perhaps wrong topic": ((HEARS, publishes(Twist, "/cmd_vel")), "-p command_topic:=/cmd_vel", {}),
     "perhaps remapped": ((HEARS, COMMANDS_IT, listens(PoseStamped, "/goal")), "/stack listens to /goal", {}),
     "follows the clock": ((HEARS, COMMANDS_IT, listens(Clock, "/clock")), "-p quiet_time:=0.1", {}),
-    "silent": ((HEARS, COMMANDS_IT), "has not published yet: see its log, or -p startup_timeout:=120", {}),
+    "silent": ((HEARS, COMMANDS_IT), "/ego/odometry, but has published nothing on /ego/acceleration_command: see its log", {}),
     "silent, and only listens": ((HEARS,), "/ego/acceleration_command; nodes that are not SKD's: /stack", {}),
 }
 

@@ -328,9 +328,22 @@ def test_commands_of_the_last_episode_do_not_drive_this_one(quiet: Bench) -> Non
     assert quiet.lockstep.walk(stamp(0), (2.0, 0.0), now=soon) is None
     assert quiet.lockstep.drive(START - rules.LEAD - 1, 9.0, now=later) is None
     assert quiet.lockstep.drive(None, 9.0, now=soon) is None  # it may have been under way
-    assert quiet.lockstep.drive(0, 9.0, now=soon) is None  # as is one whose stamp says nothing
-    assert quiet.lockstep.quiet(later) is None
-    assert quiet.lockstep.drive(START - rules.LEAD, 1.0, now=later) == rules.ControlStep(1.0, (2.0, 0.0))
+    assert quiet.lockstep.drive(0, 8.0, now=soon) is None  # as is one whose stamp says nothing
+    assert quiet.lockstep.drive(START - rules.LEAD, 1.0, now=later) is None
+    assert quiet.lockstep.quiet(later) == rules.ControlStep(1.0, (2.0, 0.0))
+
+
+def test_a_second_answer_to_tick_0_without_a_stamp_does_not_answer_tick_1(quiet: Bench) -> None:
+    quiet.now += 0.3
+    assert quiet.lockstep.watch(quiet.now) == rules.Repeat()
+    assert quiet.lockstep.walk(stamp(0), (2.0, 0.0)) is None
+    assert quiet.lockstep.drive(None, 9.0, now=quiet.now) is None
+    assert quiet.lockstep.watch(quiet.now + 0.3) is None  # another repetition would be answered late
+    assert quiet.lockstep.drive(None, 1.0, now=quiet.now) is None
+    assert quiet.lockstep.quiet(quiet.now) == rules.ControlStep(1.0, (2.0, 0.0))
+    assert quiet.advance(1) is None
+    assert quiet.lockstep.drive(None, 3.0, now=quiet.now) is None
+    assert quiet.lockstep.walk(stamp(1), (2.0, 0.0)) == rules.ControlStep(3.0, (2.0, 0.0))
 
 
 def test_the_clock_comes_nearer_while_a_car_that_is_there_has_nothing_to_say(quiet: Bench) -> None:

@@ -7,6 +7,7 @@ Causes are looked for only while something is wrong, so that they cost a running
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -124,6 +125,7 @@ _STATES = (
 )
 """Topics by which a stack sees the car, or whom it may hit."""
 _OF_ADVERSARY = (Topic.ADVERSARY_ODOMETRY, Topic.ADVERSARY_DETECTIONS)
+_ODOMETRY = "nav_msgs/msg/Odometry"
 _NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
 _POLICIES = {"effort": "reliability", "volatile": "durability", "deadline": "deadline", "live": "liveliness"}
@@ -353,23 +355,44 @@ def _arrives_elsewhere(seen: Evidence) -> str | None:
 
 
 def _hears_nothing(seen: Evidence) -> str | None:
-    """Of a stack that listens to topics where no node publishes, and to none by which it could see the car."""
-    states = {seen.full(topic) for topic in _STATES if topic not in _OF_ADVERSARY}
-    if any(states & topics.keys() for topics in seen.listening.values()):
-        return None
-    return _unpublished(seen)
+    """Of a stack that listens to topics where no node publishes, and to none by which it could see the car.
+
+    So, too, of one that listens to none by which it could see whom it may hit, and to such an odometry.
+    """
+    listened = {topic for topics in seen.listening.values() for topic in topics}
+    hears = [topic for topic in _STATES if seen.full(topic) in listened]
+    if not set(hears) - set(_OF_ADVERSARY):
+        return _unpublished(seen)
+    blind = set(hears) <= {Topic.EGO_ODOMETRY, Topic.EGO_IMU, Topic.TF}
+    return _unpublished(seen) if blind and _remaps(seen) else None
+
+
+def _lacking(seen: Evidence) -> dict[str, list[str]]:
+    """Return topics to which a stack listens and where no node publishes, by the stack's nodes; its odometry first."""
+    found = {}
+    for name, topics in seen.listening.items():
+        if lacking := [topic for topic in topics if not seen.node.count_publishers(topic)]:
+            found[name] = sorted(lacking, key=lambda topic: (not re.search("odom|ego", topic), topic))[:_MOST]
+    return found
+
+
+def _remaps(seen: Evidence) -> str:
+    """Return what remaps a stack's odometries to those to which it does not listen yet; empty where it lacks none."""
+    listened = {topic for topics in seen.listening.values() for topic in topics}
+    free = [topic for topic in (Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY) if seen.full(topic) not in listened]
+    lacking = dict.fromkeys(
+        topic for name, topics in _lacking(seen).items() for topic in topics if _ODOMETRY in seen.listening[name][topic]
+    )
+    return " ".join(f"-r {theirs.lstrip('/')}:=/{ours}" for theirs, ours in zip(lacking, free, strict=False))
 
 
 def _unpublished(seen: Evidence) -> str | None:
-    lacking = [
-        f"{name} listens to {topic}"
-        for name, topics in seen.listening.items()
-        for topic in topics
-        if not seen.node.count_publishers(topic)
-    ]
+    lacking = [f"{name} listens to {' and '.join(topics)}" for name, topics in _lacking(seen).items()]
     if not lacking:
         return None
-    return f"{' and '.join(lacking[:_MOST])}, where no node publishes: remap it (-r odom:=/{Topic.EGO_ODOMETRY})"
+    remaps = _remaps(seen)
+    mends = f"remap it ({remaps})" if remaps else "publish it, or remap it"
+    return f"{'; '.join(lacking[:_MOST])}, where no node publishes: {mends}"
 
 
 def _follows_clock(seen: Evidence) -> str | None:
@@ -386,7 +409,9 @@ def _follows_clock(seen: Evidence) -> str | None:
 def _silent(seen: Evidence) -> str:
     if seen.publishers:
         names = " and ".join(sorted({one.name for one in seen.publishers}))
-        return f"{names} is there and has not published yet: see its log, or -p startup_timeout:=120"
+        heard = {topic for topics in seen.listening.values() for topic in topics} & set(map(seen.full, _STATES))
+        listens = f"listens to {' and '.join(sorted(heard))}" if heard else "is there"
+        return f"{names} {listens}, but has published nothing on {seen.awaited.topic}: see its log"
     nobody = f"no node publishes on {seen.awaited.topic}"
     if seen.listening:
         return f"{nobody}; nodes that are not SKD's: {', '.join(sorted(seen.listening)[:_MOST])}"

@@ -255,9 +255,10 @@ class Lockstep:
         self._began = False
         self._velocity: tuple[float, float] | None = None  # of the tick that is under way
         self._frame = frame
-        self._progress = self._published = self._begun_at = now
+        self._progress = self._published = now
         self.lead = LEAD if self._quiet_time or self._real_time else 0
         self._spoken = False  # the car has, since the state now was published
+        self._by_stamp = True  # the car's last command had one
         self.ages.begin()
         self.ages.publish(start, now)
         return self.fail(self._crowd())
@@ -328,8 +329,7 @@ class Lockstep:
         problem = self._crowd() or (abort_reason(AbortKind.ENDED, gone[0]) if gone else None)
         if problem is not None or self._began:
             return self.fail(problem)
-        first = frame.tick == 0 and frame.period == 0
-        limit = self._limits.startup if first else self._limits.command
+        limit = self._limits.startup if self._at_start else self._limits.command
         if now - self._progress > limit:
             silent = (source for source in (self._car, self._adversary) if self._waits_for(source))
             slowest = max(self.ages.ages, default=0.0)
@@ -338,13 +338,19 @@ class Lockstep:
                 for source in silent
             ]
             return self.fail(" and ".join(reasons))
-        if first and now - self._published > REPEAT_PERIOD:
+        settles = self._quiet_time and self._car.command is not None and not self._waits_for(self._adversary)
+        if self._at_start and not settles and now - self._published > REPEAT_PERIOD:
             self._published = now
+            self._spoken &= self._by_stamp
             self.ages.publish(self.stamp, now)
             if self._car.senders.count():
                 self.lead = max(0, self.lead - _LEAD_STEP)
             return Repeat()
         return None
+
+    @property
+    def _at_start(self) -> bool:
+        return self._frame is not None and self._frame.tick == self._frame.period == 0
 
     def _hear(self, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
         """Take a command of a car that follows the clock."""
@@ -352,8 +358,6 @@ class Lockstep:
             return None
         if not stamp:
             stamp = None
-            if now - self._begun_at < self._quiet_time:
-                return None  # it may be of the episode before, and still have been under way
         elif stamp < self._start - LEAD:
             self._car.ignore(stamp)
             return None
@@ -362,8 +366,10 @@ class Lockstep:
         first = self._car.command is None
         self._car.command = answer
         self.ages.come(stamp, now)
-        # One that comes too late for its state is good for the next one, but does not answer it.
-        self._spoken |= first or stamp is None or stamp >= self.stamp
+        # One that comes too late for its state is good for the next one, but does not answer it. Without a stamp it may
+        # be of the episode before, or one of several answers to tick 0, which is repeated: there the last one counts.
+        self._by_stamp = stamp is not None
+        self._spoken |= not self._at_start if stamp is None else first or stamp >= self.stamp
         return None if self._waits_for(self._car) or self._waits_for(self._adversary) else self._take(now)
 
     def _not_finite(self, source: CommandSource, answer: tuple[float, ...]) -> End | None:
