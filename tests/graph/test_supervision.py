@@ -52,6 +52,7 @@ def test_what_can_never_start_is_not_started_again_and_again(tmp_path: Path, pro
             wait_until(lambda: problems.extend(filter(None, [one.check()])), "an end")
         with pytest.raises(GraphError):  # a later stage of the campaign does not wait for what does not run
             one.check()
+    assert problems[0].endswith(f"; the last line of its log: {words.partition(';')[0]}")
     assert len(problems) == 1
     assert len(said) == 1
 

@@ -125,7 +125,11 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
     "perhaps wrong topic": ((HEARS, publishes(Twist, "/cmd_vel")), "-p command_topic:=/cmd_vel", {}),
     "perhaps remapped": ((HEARS, COMMANDS_IT, listens(PoseStamped, "/goal")), "/stack listens to /goal", {}),
     "follows the clock": ((HEARS, COMMANDS_IT, listens(Clock, "/clock")), "-p quiet_time:=0.1", {}),
-    "silent": ((HEARS, COMMANDS_IT), "/ego/odometry, but has published nothing on /ego/acceleration_command: see its log", {}),
+    "silent": (
+        (HEARS, COMMANDS_IT),
+        "/ego/odometry, but has published nothing on /ego/acceleration_command: see its log",
+        {},
+    ),
     "silent, and only listens": ((HEARS,), "/ego/acceleration_command; nodes that are not SKD's: /stack", {}),
 }
 

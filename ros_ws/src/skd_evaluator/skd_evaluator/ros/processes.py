@@ -153,9 +153,13 @@ def _controller_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return {**foreign_variables(environment), "PATH": os.pathsep.join(folders)}
 
 
+_LAST_LINE = "; the last line of its log: "
+
+
 def concerned(reason: str) -> list[str]:
     """Return which processes the reason of an abort speaks of."""
-    return [name for name, words in _CALLED.items() if any(word in reason for word in words)]
+    said = reason.partition(_LAST_LINE)[0]
+    return [name for name, words in _CALLED.items() if any(word in said for word in words)]
 
 
 def log_of(folder: Path, reason: str) -> Path:
@@ -283,9 +287,9 @@ class Supervisor:
                 continue
             how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
             problem = abort_reason(AbortKind.ENDED, f"{process.name} {how}")
-            problems.append(problem)
             self._end([process])
             last = process.last_lines()
+            problems.append(f"{problem}{_LAST_LINE}{last[-1]}")
             if not process.said:
                 process.said = True
                 self._say("\n  | ".join([f"{problem}; the end of {process.log}:", *last]))
@@ -295,7 +299,7 @@ class Supervisor:
                 hint = ""
                 if lacks and not is_sourced(process.program.environment):
                     hint = "; write python3, not a path: SKD's Python has it" if "'rclpy'" in last[-1] else _LIMITED
-                process.given_up = f"{problem}, {process.restarts} times; the last line of its log: {last[-1]}{hint}"
+                process.given_up = f"{problem}, {process.restarts} times{_LAST_LINE}{last[-1]}{hint}"
                 raise GraphError(process.given_up)
             process.start()
         return " and ".join(problems) or None

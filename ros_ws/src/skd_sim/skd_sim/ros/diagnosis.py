@@ -7,7 +7,6 @@ Causes are looked for only while something is wrong, so that they cost a running
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -124,8 +123,6 @@ _STATES = (
     Topic.TF,
 )
 """Topics by which a stack sees the car, or whom it may hit."""
-_OF_ADVERSARY = (Topic.ADVERSARY_ODOMETRY, Topic.ADVERSARY_DETECTIONS)
-_ODOMETRY = "nav_msgs/msg/Odometry"
 _NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
 _POLICIES = {"effort": "reliability", "volatile": "durability", "deadline": "deadline", "live": "liveliness"}
@@ -207,6 +204,11 @@ class Evidence:
                     continue
                 found[full] = {topic: kinds for topic, kinds in topics if topic not in _OF_EVERY_NODE}
         return found
+
+    @property
+    def listened(self) -> dict[str, list[str]]:
+        """Topics to which nodes that are not SKD's listen, with their types."""
+        return {topic: kinds for topics in self.listening.values() for topic, kinds in topics.items()}
 
     @cached_property
     def candidates(self) -> list[tuple[str, Publisher]]:
@@ -359,39 +361,33 @@ def _hears_nothing(seen: Evidence) -> str | None:
 
     So, too, of one that listens to none by which it could see whom it may hit, and to such an odometry.
     """
-    listened = {topic for topics in seen.listening.values() for topic in topics}
-    hears = [topic for topic in _STATES if seen.full(topic) in listened]
-    if not set(hears) - set(_OF_ADVERSARY):
-        return _unpublished(seen)
-    blind = set(hears) <= {Topic.EGO_ODOMETRY, Topic.EGO_IMU, Topic.TF}
-    return _unpublished(seen) if blind and _remaps(seen) else None
+    hears = {topic for topic in _STATES if seen.full(topic) in seen.listened}
+    of_car = hears - {Topic.ADVERSARY_ODOMETRY, Topic.ADVERSARY_DETECTIONS}
+    alone = hears <= {Topic.EGO_ODOMETRY, Topic.EGO_IMU, Topic.TF} and any(_remaps(seen).values())
+    return _unpublished(seen) if alone or not of_car else None
 
 
-def _lacking(seen: Evidence) -> dict[str, list[str]]:
-    """Return topics to which a stack listens and where no node publishes, by the stack's nodes; its odometry first."""
-    found = {}
-    for name, topics in seen.listening.items():
-        if lacking := [topic for topic in topics if not seen.node.count_publishers(topic)]:
-            found[name] = sorted(lacking, key=lambda topic: (not re.search("odom|ego", topic), topic))[:_MOST]
-    return found
+def _remaps(seen: Evidence) -> dict[str, str]:
+    """Return topics that a stack listens to and no node publishes, its own odometry first.
 
-
-def _remaps(seen: Evidence) -> str:
-    """Return what remaps a stack's odometries to those to which it does not listen yet; empty where it lacks none."""
-    listened = {topic for topics in seen.listening.values() for topic in topics}
-    free = [topic for topic in (Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY) if seen.full(topic) not in listened]
-    lacking = dict.fromkeys(
-        topic for name, topics in _lacking(seen).items() for topic in topics if _ODOMETRY in seen.listening[name][topic]
-    )
-    return " ".join(f"-r {theirs.lstrip('/')}:=/{ours}" for theirs, ours in zip(lacking, free, strict=False))
+    Each with the odometry to which it is to be remapped, that the stack does not listen to yet; empty: not known.
+    """
+    lacking = [topic for topic in seen.listened if not seen.node.count_publishers(topic)]
+    lacking.sort(key=lambda topic: "odom" not in topic and "ego" not in topic)
+    states = (Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY)
+    free = iter([topic for topic in states if seen.full(topic) not in seen.listened])
+    return {topic: next(free, "") if "nav_msgs/msg/Odometry" in seen.listened[topic] else "" for topic in lacking}
 
 
 def _unpublished(seen: Evidence) -> str | None:
-    lacking = [f"{name} listens to {' and '.join(topics)}" for name, topics in _lacking(seen).items()]
+    remaps, lacking = _remaps(seen), []
+    for name, topics in seen.listening.items():
+        if found := [topic for topic in remaps if topic in topics]:
+            lacking.append(f"{name} listens to {' and '.join(found[:_MOST])}")
     if not lacking:
         return None
-    remaps = _remaps(seen)
-    mends = f"remap it ({remaps})" if remaps else "publish it, or remap it"
+    how = " ".join(f"-r {theirs.lstrip('/')}:=/{ours}" for theirs, ours in remaps.items() if ours)
+    mends = f"remap it ({how})" if how else "publish it, or remap it"
     return f"{'; '.join(lacking[:_MOST])}, where no node publishes: {mends}"
 
 
@@ -409,8 +405,8 @@ def _follows_clock(seen: Evidence) -> str | None:
 def _silent(seen: Evidence) -> str:
     if seen.publishers:
         names = " and ".join(sorted({one.name for one in seen.publishers}))
-        heard = {topic for topics in seen.listening.values() for topic in topics} & set(map(seen.full, _STATES))
-        listens = f"listens to {' and '.join(sorted(heard))}" if heard else "is there"
+        heard = sorted(seen.listened.keys() & set(map(seen.full, _STATES)))
+        listens = f"listens to {' and '.join(heard)}" if heard else "is there"
         return f"{names} {listens}, but has published nothing on {seen.awaited.topic}: see its log"
     nobody = f"no node publishes on {seen.awaited.topic}"
     if seen.listening:

@@ -52,6 +52,8 @@ _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with warnings: episodes that were aborted, and a user's car that hardly drives."""
     plan = assessment.plan
+    if _gave_up(assessment):
+        return assessment
     lines = [*aborted_lines(assessment.as_dict()), *episode_figures.missed_periods(plan.car.label, assessment.logs)]
     if not plan.car.is_own:
         lines += episode_figures.standing(plan.car.label, assessment.nominal_runs)
@@ -63,10 +65,15 @@ def run(context: Context, assessment: Assessment) -> Assessment:
 @stage(120)
 def run_again(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with a warning if a user's car does not repeat itself in a sample of its episodes."""
-    if assessment.plan.car.is_own or context.fresh is None:
+    if assessment.plan.car.is_own or context.fresh is None or _gave_up(assessment):
         return assessment
     found = repeatability(assessment.plan.car.label, assessment.logs, context.fresh)
     return replace(assessment, warnings=(*assessment.warnings, *found))
+
+
+def _gave_up(assessment: Assessment) -> bool:
+    """Whether the car's process ended again and again in a stage before, whose warning says it all."""
+    return any(kind_of(line.removeprefix(NOT_CREDIBLE)) == AbortKind.ENDED for line in assessment.warnings)
 
 
 @contextmanager
@@ -131,19 +138,23 @@ def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[s
             second = list(runner.run([log.episode for log in first]))
     except (AssessmentError, UsageError, OSError) as error:  # OSError: what starts it is gone
         return (f"{NOT_CREDIBLE}{car} failed when {len(first)} episodes were run again: {error}",)
-    changed = [(one, other) for one, other in zip(first, second, strict=True) if not is_same(one, other)]
-    if not changed:
-        return ()
-    hits = sum(one.hit != other.hit or other.outcome == Outcome.ABORTED for one, other in changed)
-    begin = NOT_CREDIBLE if hits > FEW_HITS * len(first) else ""
-    log, other = changed[0]
-    lost = f", aborted then: {other.reason}" if other.outcome == Outcome.ABORTED else ""
-    _, phi, trial = split_episode_id(log.episode.episode_id)
-    where = f"first: {log.episode.mode.name.lower()}, φ {phi}, trial {trial}{lost}"
-    ended = f"ended differently in another order, {hits} of them in a hit in one order alone ({where})"
-    why = f"{car} keeps something between episodes, or draws random numbers of its own"
-    why += ": give -p reset:=restart, or forget at /skd/episode" if log.episode.controller == EXTERNAL else ""
-    return (f"{begin}{len(changed)} of {len(first)} episodes {ended}. {why}",)
+    found = []
+    if lost := [log.reason for log in second if log.outcome == Outcome.ABORTED]:
+        begin = NOT_CREDIBLE if len(lost) > FEW_HITS * len(first) else ""
+        found.append(f"{begin}{len(lost)} of {len(first)} episodes were aborted when they were run again: {lost[0]}")
+    pairs = [(one, other) for one, other in zip(first, second, strict=True) if other.outcome != Outcome.ABORTED]
+    if changed := [pair for pair in pairs if not is_same(*pair)]:
+        hits = sum(one.hit != other.hit for one, other in changed)
+        begin, log = NOT_CREDIBLE if hits > FEW_HITS * len(first) else "", changed[0][0]
+        _, phi, trial = split_episode_id(log.episode.episode_id)
+        where = f"first: {log.episode.mode.name.lower()}, φ {phi}, trial {trial}"
+        ended = f"ended differently in another order, {hits} of them in a hit in one order alone ({where})"
+        why = f"{car} keeps something between episodes, or draws random numbers of its own"
+        why += ": give -p reset:=restart, or forget at /skd/episode" if log.episode.controller == EXTERNAL else ""
+        if held := sum(one.timing.held or other.timing.held for one, other in changed):
+            why += f"; or raise -p quiet_time: in {held} control periods no command came in time"
+        found.append(f"{begin}{len(changed)} of {len(first)} episodes {ended}. {why}")
+    return tuple(found)
 
 
 # --- whether it drives
