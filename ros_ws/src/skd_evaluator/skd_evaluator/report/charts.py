@@ -443,7 +443,7 @@ def save_comparison(folder: Path, results: Mapping[str, StoredResult], ranked_by
         title = f"Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below\n{HOLLOW}"
         save_charts(folder / "rating.png", [rating_chart(cars, scale) for scale in SCALES], title)
     if same and all(has_price(one.figures) for one in cars):
-        save_charts(folder / "price.png", [price_chart(cars)], f"Margin against the price of caution.\n{PRICE_CAPTION}")
+        save_charts(folder / "price.png", [price_chart(cars)], f"Margin against the price of caution\n{PRICE_CAPTION}")
 
 
 def rating_chart(cars: Sequence[ChartedCar], scale: float) -> Spec:
@@ -471,7 +471,7 @@ def rating_chart(cars: Sequence[ChartedCar], scale: float) -> Spec:
 
 
 HOLLOW: Final = "Hollow: cars that are not credible, or whose margin is an upper bound"
-PRICE_CAPTION: Final = f"Grey: the best margin for each price. {HOLLOW}, or that do not get past people"
+PRICE_CAPTION: Final = f"Grey joins the best cars. {HOLLOW}, or that do not get past people"
 
 
 def price_chart(cars: Sequence[ChartedCar]) -> Spec:
@@ -489,7 +489,7 @@ def price_chart(cars: Sequence[ChartedCar]) -> Spec:
         lost, slow = map(price.mean, ("time_lost", "slow"))
         late = {"y": mean, "y_low": low, "y_high": high, "lost": lost, "slow": slow}
         rows.append({**_margin_row(one), **late, "note": note})
-    title = "later past a harmless road user than at the start speed (s)"
+    title = "time lost and slow driving, for each harmless road user (s)"
     y, low_end = (alt.Y(f"{name}:Q", title=title) for name in ("y", "y_low"))
     said = _tooltip(
         car="car", margin=("margin (m)", ".3f"), y=("price (s)", ".2f"), lost=("time lost (s)", ".2f"),

@@ -38,6 +38,7 @@ LOADING: Final = 10.0
 """Times as long the loading of a controller may take: it may read a large network."""
 FAILED_STARTS: Final = 3
 """So many children in a row that are lost in their first piece of work end the assessment."""
+_SLOW: Final = 10.0  # s of a call after which a line says that it is still going on
 _POLL: Final = 0.25  # s between two looks at whether the child lives and its call is in time
 _PATIENCE: Final = 1.0  # s for a child whose pipe is closed to end by itself, so that its exit code is seen
 
@@ -69,6 +70,7 @@ class _Here:
         children: children by the name of whose code they run.
         owner: id of the process whose children these are.
         failed: how many children in a row were lost in their first piece of work.
+        told: whether it has said that a call takes long.
     """
 
     limit = CALL_LIMIT
@@ -77,6 +79,7 @@ class _Here:
     children: Final[dict[str, IsolatedProcess]] = {}
     owner = 0
     failed = 0
+    told = False
 
 
 def set_call_limit(seconds: float) -> None:
@@ -244,8 +247,14 @@ class IsolatedProcess:
         while not self._answers.poll(1000.0 * _POLL):
             if self._has_ended():
                 raise EOFError  # a process that it has left may hold its end of the pipe
-            if 0.0 < self._call[0] < time.monotonic():
-                self._lose(AbortKind.NO_ANSWER, f"a call took more than {self._call[1]:g} s")
+            end, allowed = self._call
+            taken = time.monotonic() - end + allowed if end else 0.0
+            if taken > allowed:
+                self._lose(AbortKind.NO_ANSWER, f"a call took more than {allowed:g} s")
+            if taken > _SLOW and not _Here.told:
+                _Here.told = True
+                what = f"skd: a call of {self._whose} has taken {_SLOW:g} s; after {allowed:g} s its episode is aborted"
+                print(what, file=sys.stderr)
 
     def _lose(self, kind: AbortKind, what: str) -> NoReturn:
         self.close()

@@ -281,7 +281,8 @@ def _verdict(first: Subject, second: Subject) -> str:
     verdict = f"{found.verdict} ({found.reason})" if found.reason else found.verdict
     difference = f"{held.value:+.3f}{figure.kind.unit and ' ' + figure.kind.unit}".replace("-", formats.PAGE.minus)
     sure = f"{100 * held.confidence:.3g} % interval {formats.number(held.interval)}"
-    return f"{second.label} compared with {first.label}: {verdict}; {figure.label} {difference}, {sure}."
+    more = "skd compare also tries each car on the other's trajectories, so its figures may differ."
+    return f"{second.label} compared with {first.label}: {verdict}; {figure.label} {difference}, {sure}. {more}"
 
 
 def _bounded(one: Subject, key: str) -> str:
