@@ -56,8 +56,8 @@ def test_a_margin_that_is_too_high_is_corrected(results):
     for before, after, other in zip(*(one.groups["margin"] for one in (shallow, second, deep)), strict=True):
         assert (after <= np.minimum(before, other) + 1e-9).all()  # same car and draws: it is hit as the other is
     assert (np.concatenate(first.groups["margin"]) <= np.concatenate(deep.groups["margin"])).all()
-    assert lines[-1].startswith(f"{shallow.folder}: trajectories that were found for {deep.folder} lower its margin")
-    assert any("lower its margin" in line for line in check_not_worse(Path(shallow.folder), deep).remarks)
+    assert lines[-1].startswith(f"{shallow.folder}: its margin falls from ")
+    assert any("its margin falls" in line for line in check_not_worse(Path(shallow.folder), deep).remarks)
     unchanged = check_not_worse(Path(shallow.folder), shallow)  # although it is an upper bound
     assert unchanged.passed
     assert unchanged.text == "no difference: the same in every trial"

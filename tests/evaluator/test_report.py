@@ -214,7 +214,7 @@ def test_a_page_that_would_be_too_large_keeps_its_figures(subjects, monkeypatch)
 
 def test_how_few_people_are_more_unusual():
     assert how_unusual(1e-9) == "more unusual than almost everybody"
-    assert how_unusual(4e-4) == "more ordinary than 1 in 2,500 people"
+    assert how_unusual(4e-4) == "1 in 2,500 people walk more unusually"
 
 
 def test_what_a_name_says_is_no_code():

@@ -73,7 +73,7 @@ def test_the_first_screen_has_the_worst_episode_and_where_the_car_hits(browser, 
     assert re.search(r"Safety margin \d\.\d{3} m \[\d\.\d{3}, \d\.\d{3}\]", one.text("#verdict"))
     episodes, scenario = subjects[1].episodes, subjects[1].scenario
     worst, least = int(episodes.worst_first()[0]), min(hit.distance for of in episodes.margin_hits for hit in of if hit)
-    assert one.text("#playing").startswith("The worst episode of planned kamikazes and runs along φ: ")
+    assert one.text("#playing").startswith("The worst of these episodes: ")
     assert f"The least deviation of the margin is {least:.2f} m, on synthetic/" in one.text("#place")
     assert "in contact" in one.text("#state")
     assert {one.page.locator(f"{place} text").first.text_content() for place in ("#view", "#hits")} == {"x, East ↓"}

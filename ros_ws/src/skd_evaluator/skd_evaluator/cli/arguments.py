@@ -25,6 +25,8 @@ CAR_GROUP = "car and test"
 DETAILS = "print every figure, and a line for each safe trajectory"
 Parse = Callable[[str], Any]
 _MOST_STEPS = 100
+_OTHER_NAMES = {"explain": "; did you mean skd compare --explain?", "show": "; did you mean skd report, or skd list?"}
+"""What is said of commands that there are not, under names of others' commands."""
 
 
 def _number(kind: type[int] | type[float], low: float, high: float, *, above: bool = False) -> Parse:
@@ -229,7 +231,7 @@ class Parser(Options, argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
-            if near := did_you_mean(str(value), map(str, action.choices or ())):
+            if near := _OTHER_NAMES.get(value) or did_you_mean(str(value), map(str, action.choices or ())):
                 error.message = f"invalid choice: {value!r}{near}"
             raise
 

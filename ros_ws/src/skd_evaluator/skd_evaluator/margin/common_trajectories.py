@@ -74,8 +74,8 @@ def on_common_trajectories(
         found.append(replace(one, groups={**one.groups, MARGIN: margins}))
         if before - after > _LOWERED:
             lines.append(
-                f"{one.folder}: trajectories that were found for {other.folder} lower its margin from {before:.3f} to "
-                f"{after:.3f} m; the comparison uses that"
+                f"{one.folder}: its margin falls from {before:.3f} to {after:.3f} m by trajectories found for "
+                f"{other.folder}; the comparison uses that"
             )
     lines += [f"{' and '.join(one)}: not tried on the other's trajectories: {why}" for why, one in untried.items()]
     return found[0], found[1], tuple(lines)

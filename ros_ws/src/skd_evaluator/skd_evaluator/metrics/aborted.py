@@ -226,6 +226,7 @@ def _were(count: int) -> str:
 
 NOT_CREDIBLE: Final = "not credible: "
 """Begins a warning with which an assessment fails, no gate passes, and nothing is compared."""
+KEEPS_STATE: Final = "keeps state between episodes, or draws its own random numbers"
 UNDISTURBED: Final = "undisturbed, "
 """Begins a warning of a car that slows down on a free road, which a comparison repeats."""
 

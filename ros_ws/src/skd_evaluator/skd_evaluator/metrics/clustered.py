@@ -258,9 +258,11 @@ def clustered_rate(counts: Sequence[tuple[int, int]], confidence: float = 0.95) 
         effective = spread / error**2 if error > 0.0 else float(every)
         interval = score_interval(rate, effective, student_quantile(freedom, confidence))
         if total in (0, every):
-            notes.append(f"{'none' if total == 0 else 'all'} of {every}: the interval takes them as independent")
+            notes.append(
+                f"{'none' if total == 0 else 'all'} of {every}: each counts as independent, and few φ widen it"
+            )
         elif error == 0.0:
-            notes.append("all φ have the same rate: the interval takes the runs as independent")
+            notes.append("all φ have the same rate: each run counts as independent")
         elif effective > SUSPICIOUS * every:
             notes.append("the φ agree more than chance within them lets expect: the interval is narrow by luck")
     return Clustered(rate, interval, error, freedom, len(filled), every, components, tuple(notes))

@@ -205,7 +205,8 @@ def stopped_at(figures: Mapping[str, Any]) -> str:
         why = f" (no hit in {beyond} of {figures['margin_trials']} trials)"
     elif excess > CONVERGED_WITHIN * figures.get("margin", 0.0):
         why = f" ({excess:.3f} m too high, by trials searched deeper)"
-    return f"had not converged at {figures['margin_budget']} candidates a trial{why}"
+    budget = figures["margin_budget"]
+    return f"had not converged at {budget} candidate{'s' * (budget != 1)} a trial{why}"
 
 
 def lane_of_margin(figures: Mapping[str, Any]) -> str:

@@ -200,9 +200,9 @@ def how_unusual(people: float) -> str:
     """Return how unusual a walk is, in words, from the share of people who differ more from the average."""
     if people <= 1e-4:
         return "more unusual than almost everybody"
-    some = f"{percent(people, 0 if people >= 0.01 else 1)} of people"
-    some = f"1 in {1.0 / people:,.0f} people" if people < 5e-4 else some
-    return f"more ordinary than {'nearly all people' if people > 0.995 else some}"
+    share = percent(people, 0 if people >= 0.01 else 1)
+    some = f"1 in {1.0 / people:,.0f} people" if people < 5e-4 else f"{share} of people"
+    return f"{'nearly all people' if people > 0.995 else some} walk more unusually"
 
 
 def kept_failures(figures: Mapping[str, Any]) -> list[KeptFailure]:

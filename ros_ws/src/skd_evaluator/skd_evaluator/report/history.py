@@ -20,7 +20,7 @@ from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understoo
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.files.results import StoredResult, assessments_below
 from skd_evaluator.files import UNFINISHED, check_folder
-from skd_evaluator.metrics.aborted import in_one_line, not_credible
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.formats import TERMINAL
@@ -135,7 +135,7 @@ def read_run(folder: Path) -> Run:
 
 
 def trends_of(results: Sequence[StoredResult], figure: str) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return how each car has changed in each scenario, as JSON has it, and what to know of it, a line each.
+    """Return how each car has changed in each scenario, as JSON has it, and what to know of each result, a line each.
 
     Each result is compared with the one before. All verdicts of a car together are to be right with 95 %: each has
     Bonferroni's share. Verdicts go by margin and risk, whichever figure is followed.
@@ -152,17 +152,21 @@ def trends_of(results: Sequence[StoredResult], figure: str) -> tuple[list[dict[s
     for (car, scenario), mine in sorted(groups.items()):
         confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
         later = [compare(one, other, confidence) for (_, one), (_, other) in itertools.pairwise(mine)]
-        rows = [_trend_row(run, figure, *pair) for (run, _), *pair in zip(mine, [None, *later], strict=True)]
+        rows = [_trend_row(*pair, figure, change) for pair, change in zip(mine, [None, *later], strict=True)]
         found.append({"car": car, "scenario": scenario, "figure": figure, "confidence": confidence, "runs": rows})
-        lines += [line for one in later for line in one.lines()]
+        lines += [_first_of(row["lines"]) for row in rows if row["lines"] and later]
     return found, lines
 
 
-def _trend_row(run: Run, figure: str, compared: Comparison | None) -> dict[str, Any]:
-    change, verdict = None, ""
-    if compared is not None:
-        change = compared.differences.get(figure)
-        verdict = compared.verdict if figure in compared.differences else NOT_COMPARED
+def _first_of(lines: Sequence[str]) -> str:
+    """Return what matters most, and how much more there is."""
+    first = min(lines, key=lambda line: NOT_CREDIBLE not in line)
+    return f"{first} ({len(lines) - 1} more: --json)" if len(lines) > 1 else first
+
+
+def _trend_row(run: Run, result: StoredResult, figure: str, compared: Comparison | None) -> dict[str, Any]:
+    change = None if compared is None else compared.differences.get(figure)
+    verdict = "" if compared is None else compared.verdict if change else NOT_COMPARED
     return {
         "folder": str(run.folder),
         "date": run.date,
@@ -174,12 +178,10 @@ def _trend_row(run: Run, figure: str, compared: Comparison | None) -> dict[str, 
         "credible": not run.not_credible,
         "difference": None if change is None else change.value,
         "difference_interval": None if change is None else change.interval,
-        "lines": [] if compared is None else compared.lines(),
+        "lines": [*result.remarks, *([] if compared is None else compared.lines())],
     }
 
 
-_UNKNOWN = "unknown"
-"""Commit of code that is in no checkout."""
 _number = TERMINAL.number
 
 
@@ -233,7 +235,7 @@ def trend_table(trend: Mapping[str, Any]) -> Table:
         value, change = row["value"], row["difference"]
         interval, around = (one and [scale * end for end in one] for one in (row["ci95"], row["difference_interval"]))
         said = _number(None if value is None else scale * value)
-        cells = [_minute(row["date"]), row["revision"] or _UNKNOWN]
+        cells = [_minute(row["date"]), row["revision"] or "unknown"]
         cells += [bounded_cell(row if figure.key == "margin" else {}, said), _number(interval, 2)]
         cells.append(f"[bold]{row['verdict']}[/]{'' if row['credible'] else '[red] not credible[/]'}")
         cells += ["", ""] if change is None else [f"{scale * change:+.3f}", _number(around)]

@@ -121,7 +121,7 @@ def _origin(result: Mapping[str, Any]) -> str:
     said = f"SKD {result['version']}, seed {result['seed']}, {result['seconds']:.1f} s"
     if origin is None:
         return said
-    revision = f", revision {origin['git']['revision'][:12]}" if origin["git"] else ""
+    revision = f", SKD revision {origin['git']['revision'][:12]}" if origin["git"] else ""
     return f"{said}, {origin['date']}, {_cell(origin['host'])}{revision}: `{_cell(origin['command']).replace('`', '')}`"
 
 

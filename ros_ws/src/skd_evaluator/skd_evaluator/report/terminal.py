@@ -160,16 +160,14 @@ def surrogate_table(result: Mapping[str, Any]) -> Table | None:
     groups = formats.surrogate_groups(result)
     if not groups:
         return None
-    table = Table(title=f"Surrogate safety measures, median and worst. {formats.NO_RATING}", title_justify="left")
-    table.add_column("")
-    for name, _ in groups:
-        table.add_column(name, justify="right")
+    rows = []
     for label, cells in formats.surrogate_rows(result):
         pairs = zip(cells[::3], cells[1::3], strict=True)
-        table.add_row(
-            label, *(f"{median}, {worst}" if median != formats.NOTHING else median for median, worst in pairs)
+        rows.append(
+            [label, *(median if median == formats.NOTHING else f"{median}, {worst}" for median, worst in pairs)]
         )
-    return table
+    title = f"Surrogate safety measures, median and worst. {formats.NO_RATING}"
+    return narrow_table(title, ("", *(name for name, _ in groups)), rows)
 
 
 _FEW = 5
@@ -223,8 +221,7 @@ def narrow_table(
     """
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
     for place, name in enumerate(heads):
-        right = place and name not in _LEFT
-        if right:
+        if place and name not in _LEFT:
             table.add_column(name, justify="right", no_wrap=whole, overflow="fold" if whole else "ellipsis")
         else:
             table.add_column(name, overflow="fold", no_wrap=whole and name.startswith("date"))
@@ -274,10 +271,9 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         rows: rows of the table, as comparison.json has them.
         ranked_by: figure by which cars are in order, the most vulnerable one first; None: in the order given.
     """
-    order = f"By {_RANKED[ranked_by]}, the safest car last" if ranked_by else "In the order given"
-    if ranked_by and any(map(does_not_get_past, rows)):
-        order = f"Cars that are often stuck first, the others by {_RANKED[ranked_by]}, the safest last"
-    if ranked_by:  # who does not get past people is never the first
+    order = "In the order given"
+    if ranked_by:  # who does not get past people is never the best
+        order = f"Least {_RANKED[ranked_by]} first, the safest car last; cars that are often stuck stand above all"
         rows = sorted(rows, key=lambda one: (not does_not_get_past(one), float(one[ranked_by])))
     heads = ["car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "time\nlost (s)"]
     heads.append("equivalent\nmultiplier")
@@ -308,7 +304,9 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
         found = entry["differences"].get(shown)
         figures = ["—"] * 5
         if found is not None:
-            figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", _number(found["interval"])]
+            # The scales of the risk share what is left to err.
+            holds = "" if found["confidence"] == confidence else f"{100 * found['confidence']:.3g} %: "
+            figures = [AT_THE_TOP[shown].label, f"{found['difference']:+.3f}", holds + _number(found["interval"])]
             figures.append("—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}")
             figures.append("—" if found["p_value"] is None else f"{found['p_value']:.2g}")
         verdict = f"[bold]{_short(entry)}[/]" + (f" ({entry['reason']})" if entry["reason"] else "")

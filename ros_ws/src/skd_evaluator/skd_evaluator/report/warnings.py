@@ -55,8 +55,8 @@ def contact_warnings(result: Result) -> list[str]:
 
 
 def _of_margin(result: Result) -> Iterator[str]:
-    """Yield what is to be known of the margin; nothing where it is not known."""
-    if result["margin"] is None:
+    """Yield what is to be known of the margin; nothing where it is not known, or not credible."""
+    if result["margin"] is None or not_credible(result.get("warnings") or ()):
         return
     trials, beyond = result["margin_trials"], result["margin_beyond"]
     if not result["margin_converged"]:

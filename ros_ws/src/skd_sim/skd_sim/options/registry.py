@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean, from_here, near_or_all
+from skd_sim.inputs.files import from_here, near_or_all, nearest
 from skd_sim.interruption import Interrupted
 
 if TYPE_CHECKING:
@@ -73,8 +73,9 @@ def _module_of_file(path: Path) -> ModuleType:
     """
     path = path.expanduser().absolute()
     if not path.is_file():
-        near = did_you_mean(path.name, (one.name for one in path.parent.glob("*.py")))
-        raise UsageError(f"{from_here(str(path))}: there is no such file{near}")
+        near = nearest(path.name, (one.name for one in path.parent.glob("*.py")))
+        meant = f"; did you mean {from_here(str(path.parent / near))!r}?" if near else ""
+        raise UsageError(f"{from_here(str(path))}: there is no such file{meant}")
     top = next(folder for folder in path.parents if not (folder / "__init__.py").is_file())
     if str(top) not in sys.path:
         sys.path.append(str(top))

@@ -402,8 +402,8 @@ def _of_the_judge(held: Comparison) -> list[str]:
                 found.append(f"{said}, {why}")
         if _unlike_budgets(*both):
             budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
-            allowed = f"the interval is wider by {100 * CONVERGED_WITHIN:g} % for that"
-            found.append(f"the margins were searched with {budgets} candidates a trial: {allowed}")
+            allowed = f"the interval allows for {100 * CONVERGED_WITHIN:g} % of each margin that a search may miss"
+            found.append(f"the margins were searched with {budgets} candidates a trial; {allowed}")
         tracks = [re.sub(r"^by up to \d+ |;.*", "", one.figures["margin_how"] or "") for one in both]
         if tracks[0] != tracks[1]:
             said = " and ".join(track or "runs in process" for track in tracks)

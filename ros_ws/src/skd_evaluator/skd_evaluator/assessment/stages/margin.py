@@ -43,7 +43,7 @@ from skd_evaluator.margin.search.search import (
     search_margins,
 )
 from skd_evaluator.margin.search.trial import prescribed
-from skd_evaluator.metrics.aborted import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import KEEPS_STATE, NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.margins import (
@@ -137,10 +137,8 @@ def minimal_deviations(
     found = search_margins(episodes, logs, in_processes(runner, progress), effort, before)
     hits, again = (sum(one is not None for one in some) for some in (found.hits, confirmed(episodes, found, runner)))
     if again < hits:
-        said = f"{first.car.short_controller} answers differently to the same trajectories"
-        raise AssessmentError(
-            f"controller {said}: of {hits} hits {again} came again. It may draw only from the generator of reset"
-        )
+        car, found_again = first.car.short_controller, f"of {hits} hits {again} came again"
+        raise AssessmentError(f"controller {car} {KEEPS_STATE}; draw from `rng`: {found_again}")
     return found.hits, replace(found.search, how="" if earlier is None else f"from the hits of {earlier.folder} on")
 
 
@@ -270,7 +268,7 @@ def run(context: Context, assessment: Assessment) -> Assessment:
         if assessment.lanes_left and plan.scenario.oncoming_lane:
             margins, warnings = _lower_of_both_lanes(plan, assessment, margins, warnings, context, whole=whole)
     except AssessmentError as error:
-        return assessment.failed(error, margin_note=f"its search ended: {error}")
+        return assessment.failed(error, margin_note="its search ended")
     equivalent: EquivalentMultiplier | None
     if margins.exact:  # it is a basic car itself
         own = plan.multiplier

@@ -169,8 +169,8 @@ def _compare(arguments: argparse.Namespace, results: Sequence[StoredResult], con
     def place() -> None:
         if not problem:
             print(f"results in {out.path}")
-            for one in found:
-                print(one.command(out.path))
+            for command in filter(None, (one.command(out.path) for one in found)):
+                print(f"to repeat: {command}")
 
     failed = limit_failures(limits, {name: one.figures for name, one in zip(names, results, strict=True)})
     return max(finish(arguments, content, place, content["warnings"], [problem, *failed]), not read)

@@ -102,10 +102,13 @@ def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence
     if len(results) < 2:
         raise UsageError("; ".join(["a trend is of at least two assessments of a car", *lines[:1]]))
     trends, said = trends_of(results, arguments.trend)
-    lines += [*(remark for result in results for remark in result.remarks), *said]
+    alone = sorted({trend["car"] for trend in trends if len(trend["runs"]) == 1})
 
     def show() -> None:
         for trend in trends:
-            print_table(trend_table(trend))
+            if len(trend["runs"]) > 1:
+                print_table(trend_table(trend))
+        if alone:
+            print(f"no trend, of one result ({len(alone)}): {', '.join(alone)}")
 
-    return finish(arguments, {"figure": arguments.trend, "cars": trends}, show, lines)
+    return finish(arguments, {"figure": arguments.trend, "cars": trends}, show, [*lines, *said])

@@ -23,7 +23,7 @@ class Player {
     this.episode = episode;
     this.course = episode.course;
     const several = this.data.subjects.length > 1 ? `${episode.owner.label}: ` : "";
-    const worst = episode.number === 0 && episode.failure === undefined ? "The worst episode of planned kamikazes and runs along φ: " : "";
+    const worst = episode.number === 0 && episode.failure === undefined ? "The worst of these episodes: " : "";
     this.playing.textContent = `${worst}${several}${episode.safe.name}, ${episode.name}, ${episode.outcome}`;
     this.place.textContent = where(episode, this.course) + (worst && leastOfMargin(episode.owner));
     this.command.textContent = episode.command;
