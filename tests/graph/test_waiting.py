@@ -101,11 +101,6 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
         "-p command_topic:=/cmd_vel -p command_type:=twist",
         {"newest": None, "on": "/cmd_vel"},
     ),
-    "hears nothing": (
-        (COMMANDS_IT, listens(Odometry, "/odom")),
-        "/stack listens to /odom, where no node publishes: remap it (-r odom:=/ego/odometry)",
-        {},
-    ),
     "hears nothing of the pedestrian": (
         (COMMANDS_IT, HEARS, listens(Odometry, "/obstacle")),
         "/stack listens to /obstacle, where no node publishes: remap it (-r obstacle:=/adversary/odometry)",
@@ -125,11 +120,7 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
     "perhaps wrong topic": ((HEARS, publishes(Twist, "/cmd_vel")), "-p command_topic:=/cmd_vel", {}),
     "perhaps remapped": ((HEARS, COMMANDS_IT, listens(PoseStamped, "/goal")), "/stack listens to /goal", {}),
     "follows the clock": ((HEARS, COMMANDS_IT, listens(Clock, "/clock")), "-p quiet_time:=0.1", {}),
-    "silent": (
-        (HEARS, COMMANDS_IT),
-        "/ego/odometry, but has published nothing on /ego/acceleration_command: see its log",
-        {},
-    ),
+    "silent": ((HEARS, COMMANDS_IT), "listens to /ego/odometry, but has published nothing on /ego/", {}),
     "silent, and only listens": ((HEARS,), "/ego/acceleration_command; nodes that are not SKD's: /stack", {}),
 }
 

@@ -28,11 +28,11 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.options.car_and_adversary import is_own_world
 from skd_sim.options.options import CommandOptions
-from skd_sim.ros import support
 from skd_sim.ros.commands import car_commands
 from skd_sim.ros.diagnosis import Awaited, kind_name, living_publishers, second_publisher
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.ros.simulator_node import GraphSimulator
+from skd_sim.ros.support import LATCHED, STREAM, GraphNode, Topic
 from skd_sim.ros.to_messages import episode_to_message, to_stamp
 from skd_sim.simulators.simulator import Frame, NamedSimulator
 from skd_sim.world.episode import (
@@ -160,15 +160,10 @@ _DISCOVERY = 1.0  # s: how long an episode waits for topics that no node publish
 _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
 _LOST = 10.0  # s: how long after an episode its last states may come, from the last message of all on
 _LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
-_OURS = (
-    support.Topic.EPISODE,
-    support.Topic.EPISODE_RESULT,
-    support.Topic.EGO_ODOMETRY,
-    support.Topic.ADVERSARY_ODOMETRY,
-)  # topics on which one node publishes
+_OURS = (Topic.EPISODE, Topic.EPISODE_RESULT, Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY)  # one node publishes each
 
 
-class Evaluator(support.GraphNode):
+class Evaluator(GraphNode):
     """Runs episodes through the graph; a `Runner`.
 
     Attributes:
@@ -196,9 +191,9 @@ class Evaluator(support.GraphNode):
         self._streams: list[Any] = []
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self)
-        self._episode_publisher = self.create_publisher(EpisodeMsg, support.Topic.EPISODE, support.LATCHED)
-        self._assessment_publisher = self.create_publisher(AssessmentMsg, support.Topic.ASSESSMENT, support.LATCHED)
-        self._marker_publisher = self.create_publisher(MarkerArray, support.Topic.MARKERS, support.LATCHED)
+        self._episode_publisher = self.create_publisher(EpisodeMsg, Topic.EPISODE, LATCHED)
+        self._assessment_publisher = self.create_publisher(AssessmentMsg, Topic.ASSESSMENT, LATCHED)
+        self._marker_publisher = self.create_publisher(MarkerArray, Topic.MARKERS, LATCHED)
         self._figures, self._health = LiveFigures(self), Health(self)
         self._composed = None if composed is None else Composed(self, composed)
 
@@ -238,18 +233,13 @@ class Evaluator(support.GraphNode):
         say = say or self.get_logger().warning
         self.failures = AbortedEpisodes(say, log_folder)
         self._campaign, self._silence_limit = campaign, silence_limit
-        self._check_processes, self._before_episode, self._after_silence = (
-            check_processes,
-            before_episode,
-            after_silence,
-        )
+        self._check_processes, self._before_episode = check_processes, before_episode
+        self._after_silence = after_silence
         self._own_world, self._anew = own_world, anew
         driven = car_commands(commands)
-        self._drive_topic, walk_topic = map(
-            self.resolve_topic_name, (commands.command_topic, support.Topic.VELOCITY_COMMAND)
-        )
+        self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, Topic.VELOCITY_COMMAND))
         if self._composed is None:
-            self._listen(support.Topic.EPISODE_RESULT, EpisodeResult, self.hear_result)
+            self._listen(Topic.EPISODE_RESULT, EpisodeResult, self.hear_result)
         self._first_commands = FirstCommands(
             self,
             Awaited(self._drive_topic, kind_name(driven.kind)),
@@ -258,16 +248,16 @@ class Evaluator(support.GraphNode):
             walk_topic=walk_topic if self._composed is None else "",
         )
         if self._composed is None or record_to is not None:
-            self._listen(support.Topic.EGO_ODOMETRY, Odometry, self._on_car)
-            self._listen(support.Topic.ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
+            self._listen(Topic.EGO_ODOMETRY, Odometry, self._on_car)
+            self._listen(Topic.ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
         if record_to is not None:
-            self._listen(support.Topic.CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
+            self._listen(Topic.CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
             self._listen(commands.command_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
-            self._listen(support.Topic.VELOCITY_COMMAND, TwistStamped)
-            self._listen(support.Topic.TF, TFMessage, stamp=_stamp_of_transforms)
-            self._listen(support.Topic.COMMAND, AccelStamped)
+            self._listen(Topic.VELOCITY_COMMAND, TwistStamped)
+            self._listen(Topic.TF, TFMessage, stamp=_stamp_of_transforms)
+            self._listen(Topic.COMMAND, AccelStamped)
             settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
-            drive, walk = (recorded_name(self, one) for one in (commands.command_topic, support.Topic.VELOCITY_COMMAND))
+            drive, walk = (recorded_name(self, one) for one in (commands.command_topic, Topic.VELOCITY_COMMAND))
             self._recorder = BagRecorder(self, record_to, drive, walk, own_world=own_world, patience=settle, say=say)
 
     def destroy_node(self) -> None:
@@ -286,7 +276,7 @@ class Evaluator(support.GraphNode):
         name = recorded_name(self, topic)
 
         def on_bytes(data: bytes) -> None:
-            if topic != support.Topic.TF:  # a stack sends transforms too, whether or not the simulator goes on
+            if topic != Topic.TF:  # a stack sends transforms too, whether or not the simulator goes on
                 self._heard = time.monotonic()
             message = deserialize_message(data, kind)
             if self._recorder is not None:
@@ -294,7 +284,7 @@ class Evaluator(support.GraphNode):
             if self._composed is None:  # else it was heard by a call
                 handle(message)
 
-        self._streams.append(self.create_subscription(kind, topic, on_bytes, support.STREAM, raw=True))
+        self._streams.append(self.create_subscription(kind, topic, on_bytes, STREAM, raw=True))
 
     # --- what comes in
 
@@ -317,11 +307,8 @@ class Evaluator(support.GraphNode):
             self._samples.add(stamp, state)
         except UsageError as error:
             self._require_alone()
-            whose, topic = (
-                ("car", support.Topic.EGO_ODOMETRY)
-                if isinstance(state, CarState)
-                else ("adversary", support.Topic.ADVERSARY_ODOMETRY)
-            )
+            of_car = isinstance(state, CarState)
+            whose, topic = ("car", Topic.EGO_ODOMETRY) if of_car else ("adversary", Topic.ADVERSARY_ODOMETRY)
             where = f"{(stamp - self._key.start) / NANOSECONDS:.3f} s of the episode"
             who = f"another node has published {self.resolve_topic_name(topic)}, or the simulator contradicts itself"
             raise AssessmentError(f"two different states of the {whose} came for {where}: {who}") from error
@@ -339,7 +326,7 @@ class Evaluator(support.GraphNode):
                 self._result = result, from_stamp(message.header.stamp)
                 self._ended = time.monotonic()
                 if self._composed is not None and self._recorder is not None:
-                    name, data = recorded_name(self, support.Topic.EPISODE_RESULT), serialize_message(message)
+                    name, data = recorded_name(self, Topic.EPISODE_RESULT), serialize_message(message)
                     self._recorder.keep(name, EpisodeResult, self._result[1], data)
 
     def watch(self, show: Show, commands: CommandOptions) -> None:

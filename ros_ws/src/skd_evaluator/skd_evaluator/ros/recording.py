@@ -28,7 +28,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
-from skd_sim.ros import support
+from skd_sim.ros.support import Topic
 from skd_sim.ros.to_messages import header
 from skd_sim.world.episode import EpisodeLog, EpisodeSpec, Mode, tick_stamp
 from std_msgs.msg import String
@@ -230,8 +230,8 @@ class BagRecorder:
         self._now = self._latest_end = 0
         self._fixed: dict[str, Any] = {}
         self._description: String | None = None
-        node.create_subscription(TFMessage, support.Topic.TF_STATIC, self._on_fixed_transforms, _LATCHED)
-        node.create_subscription(String, support.Topic.ROBOT_DESCRIPTION, self._on_description, _LATCHED)
+        node.create_subscription(TFMessage, Topic.TF_STATIC, self._on_fixed_transforms, _LATCHED)
+        node.create_subscription(String, Topic.ROBOT_DESCRIPTION, self._on_description, _LATCHED)
 
     def _on_fixed_transforms(self, message: TFMessage) -> None:
         self._fixed |= {transform.child_frame_id: transform for transform in message.transforms}
@@ -272,7 +272,7 @@ class BagRecorder:
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in (self._drive_topic, self._walk_topic, support.Topic.TF):
+        if topic in (self._drive_topic, self._walk_topic, Topic.TF):
             if not 0 < stamp <= self._latest_end:  # others may have sent it: not stamped, or by another clock
                 return self._now
             return stamp if stamp >= self._key.start else None
@@ -292,10 +292,9 @@ class BagRecorder:
         step, begin = episode.scenario.time_step, time.monotonic()
         last, decided = (tick_stamp(self._key.start, tick, step) for tick in (result.ticks, result.ticks - 1))
         states, of_adversary, applied = (
-            recorded_name(self._node, one)
-            for one in (support.Topic.EGO_ODOMETRY, support.Topic.ADVERSARY_ODOMETRY, support.Topic.COMMAND)
+            recorded_name(self._node, one) for one in (Topic.EGO_ODOMETRY, Topic.ADVERSARY_ODOMETRY, Topic.COMMAND)
         )
-        needed = {states: last, of_adversary: last, support.Topic.CLOCK: last, self._walk_topic: decided}
+        needed = {states: last, of_adversary: last, Topic.CLOCK: last, self._walk_topic: decided}
         while True:  # messages of a topic come in order: where the last one is there, all are
             latest: dict[str, int] = {}
             answered = decided
@@ -305,7 +304,7 @@ class BagRecorder:
                     answered = max(answered, kept.stamp)
             needed[self._drive_topic] = answered
             if self._own_world:  # another simulator need not publish any
-                needed |= {support.Topic.TF: last, applied: answered}
+                needed |= {Topic.TF: last, applied: answered}
             lacking = [topic for topic, stamp in needed.items() if latest.get(topic, 0) < stamp]
             patience = max(self._patience, _STATES) if {states, of_adversary} & set(lacking) else self._patience
             if not lacking or time.monotonic() > begin + patience:
@@ -335,16 +334,16 @@ class BagRecorder:
         messages = list(self._messages)
         if unsaid:
             messages = [kept for kept in messages if kept.kind is not EpisodeResult]
-            messages.append(self._own(support.Topic.EPISODE_RESULT, self._ending(specification, result, end), end))
+            messages.append(self._own(Topic.EPISODE_RESULT, self._ending(specification, result, end), end))
         name, start = bag_name(log.episode), self._key.start
         self._written.add(name)
-        latched = {support.Topic.EPISODE: specification, support.Topic.ROBOT_DESCRIPTION: self._description}
+        latched = {Topic.EPISODE: specification, Topic.ROBOT_DESCRIPTION: self._description}
         if self._fixed:
-            latched[support.Topic.TF_STATIC] = TFMessage(transforms=list(self._fixed.values()))
+            latched[Topic.TF_STATIC] = TFMessage(transforms=list(self._fixed.values()))
         shown = [self._own(topic, one, start, latched=True) for topic, one in latched.items() if one is not None]
         for stamp in sorted({start, *samples.car}):
             markers = episode_markers(log.episode, samples, stamp, fixed=stamp == start)
-            shown.append(self._own(support.Topic.MARKERS, markers, stamp, latched=True))
+            shown.append(self._own(Topic.MARKERS, markers, stamp, latched=True))
         shown += [self._own(*figure) for figure in recorded_figures(log, start)]
         write_bag(self._folder / name, [*shown, *messages])
 

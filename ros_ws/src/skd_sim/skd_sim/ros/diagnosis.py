@@ -392,14 +392,11 @@ def _unpublished(seen: Evidence) -> str | None:
 
 
 def _follows_clock(seen: Evidence) -> str | None:
-    named = {one.name for one in seen.publishers}
-    for name, topics in seen.listening.items():
-        if seen.by_stamp and seen.full(Topic.CLOCK) in topics and name in named:
-            return (
-                f"{name} is there, has not published, and listens to {Topic.CLOCK}, which waits for its command: "
-                "where it decides by a timer, -p quiet_time:=0.1"
-            )
-    return None
+    names = [one.name for one in seen.publishers if seen.full(Topic.CLOCK) in seen.listening.get(one.name, ())]
+    if not names or not seen.by_stamp:
+        return None
+    said = f"{names[0]} is there, has not published, and listens to {Topic.CLOCK}, which waits for its command"
+    return f"{said}: where it decides by a timer, -p quiet_time:=0.1"
 
 
 def _silent(seen: Evidence) -> str:

@@ -33,10 +33,7 @@ def round_trip() -> float | None:
     try:
         for context in contexts:
             context.init()
-        speaker, listener = (
-            Node(f"skd_doctor_{name}", context=context)
-            for name, context in zip(("speaker", "listener"), contexts, strict=True)
-        )
+        speaker, listener = (Node(f"skd_doctor_{number}", context=one) for number, one in enumerate(contexts))
         publisher = speaker.create_publisher(Header, "/skd_doctor", 10)
         listener.create_subscription(Header, "/skd_doctor", heard.append, 10)
         executor = SingleThreadedExecutor(context=contexts[1])
