@@ -72,8 +72,9 @@ def run_again(context: Context, assessment: Assessment) -> Assessment:
 
 
 def _gave_up(assessment: Assessment) -> bool:
-    """Whether the car's process ended again and again in a stage before, whose warning says it all."""
-    return any(kind_of(line.removeprefix(NOT_CREDIBLE)) == AbortKind.ENDED for line in assessment.warnings)
+    """Whether the car's process ended again and again, or did not repeat itself, in a stage before, which says it."""
+    kinds = [kind_of(line.removeprefix(NOT_CREDIBLE)) for line in assessment.warnings]
+    return AbortKind.ENDED in kinds or any(KEEPS_STATE in line for line in assessment.warnings)
 
 
 @contextmanager
