@@ -63,7 +63,7 @@ def test_quiet_prints_nothing_and_verbose_where_an_error_comes_from(skd_here, he
         (["assess", "--controller", "bassic"], "basic"),
         (["assess", "--controller", "Carla"], "carla"),
         (["assess", "--scenario", "crosing"], "crossing"),
-        (["explain", "a", "b"], "skd compare --explain"),
+        (["explain", "a", "b"], "compare --explain"),
         (["assess", "--graph", "--pacing", "lock_step"], "lockstep"),
     ],
 )

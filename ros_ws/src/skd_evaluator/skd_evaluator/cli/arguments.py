@@ -25,10 +25,7 @@ CAR_GROUP = "car and test"
 DETAILS = "print every figure, and a line for each safe trajectory"
 Parse = Callable[[str], Any]
 _MOST_STEPS = 100
-_OTHER_NAMES = {
-    "explain": "; did you mean 'skd compare --explain'?",
-    "show": "; did you mean 'skd report' or 'skd list'?",
-}
+_OTHER_NAMES = {"explain": "; did you mean 'compare --explain'?", "show": "; did you mean 'report' or 'list'?"}
 """What is said of commands that there are not, under names of others' commands."""
 
 
