@@ -400,7 +400,7 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     car = CarUnderTest(name, multiplier)
     if car.is_external or not car.exists:
         file = Path(name.rstrip(":"))
-        if file.is_dir():
+        if name.strip(":") and file.is_dir():
             raise UsageError(f"{file}: is a folder; give a controller in it, as {file / 'FILE.py'}:CLASS")
         if file.suffix == ".py" and not file.is_file():
             raise UsageError(f"{file}: there is no such file")
