@@ -71,7 +71,7 @@ BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 HEARS, COMMANDS_IT = listens(Odometry, "/ego/odometry"), publishes(AccelStamped)
 FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose names begin with the cause
-    "wrong type": ((HEARS, publishes(Twist)), "-p command_type:=twist", {}),
+    "wrong type": ((HEARS, publishes(Twist)), "-p command_type:=twist -p quiet_time:=0.1", {}),
     "quality of service": (
         (HEARS, publishes(AccelStamped, quality=BEST_EFFORT)),
         "qos_overrides./ego/acceleration_command.publisher.reliability",
@@ -98,7 +98,7 @@ FAULTS: dict[str, tuple[tuple[Make, ...], str, dict[str, Any]]] = {  # whose nam
     "wrong topic": (
         (HEARS, publishes(Twist, "/cmd_vel")),
         "messages of /stack arrive on /cmd_vel (geometry_msgs/msg/Twist), and no node listens there: "
-        "-p command_topic:=/cmd_vel -p command_type:=twist",
+        "-p command_topic:=/cmd_vel -p command_type:=twist -p quiet_time:=0.1",
         {"newest": None, "on": "/cmd_vel"},
     ),
     "hears nothing of the pedestrian": (

@@ -441,14 +441,16 @@ def class_of(kind: str) -> type | None:
 
 
 def _option(kind: str) -> str:
-    """Return the options that would take messages of a type as commands."""
+    """Return the options that would take messages of a type as commands; without stamps they need a quiet time."""
+    message: Any = class_of(kind)
+    has_stamp = message is None or {"header", "stamp"} & message.get_fields_and_field_types().keys()
+    quiet = "" if has_stamp else " -p quiet_time:=0.1"
     if kind in _NAMES:
-        return f"-p command_type:={_NAMES[kind]}"
-    message = class_of(kind)
+        return f"-p command_type:={_NAMES[kind]}{quiet}"
     numbers = [] if message is None else [path for path in number_paths(message) if "covariance" not in path]
     likely = [path for path in numbers if any(word in path for word in ("accel", "speed", "velocity"))]
     found = next(iter([*likely, *numbers]), "…")
-    return f"-p command_type:={kind} -p command_field:={found}"
+    return f"-p command_type:={kind} -p command_field:={found}{quiet}"
 
 
 def _rank(topic: str, kind: str) -> int:
