@@ -25,8 +25,8 @@ CAR_GROUP = "car and test"
 DETAILS = "print every figure, and a line for each safe trajectory"
 Parse = Callable[[str], Any]
 _MOST_STEPS = 100
-_OTHER_NAMES = {"explain": "; did you mean 'compare --explain'?", "show": "; did you mean 'report' or 'list'?"}
-"""What is said of commands that there are not, under names of others' commands."""
+_SUGGESTIONS = {"explain": "; did you mean 'compare --explain'?", "show": "; did you mean 'report' or 'list'?"}
+"""Suggestions for commands that other tools have and SKD does not."""
 
 
 def _number(kind: type[int] | type[float], low: float, high: float, *, above: bool = False) -> Parse:
@@ -231,7 +231,7 @@ class Parser(Options, argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
-            if near := _OTHER_NAMES.get(value) or did_you_mean(str(value), map(str, action.choices or ())):
+            if near := _SUGGESTIONS.get(value) or did_you_mean(str(value), map(str, action.choices or ())):
                 error.message = f"invalid choice: {value!r}{near}"
             raise
 

@@ -273,7 +273,8 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     """
     order = "In the order given"
     if ranked_by:  # who does not get past people is never the best
-        order = f"By {_RANKED[ranked_by]}, the safest car last; cars that are often stuck come first"
+        stuck = "; cars that are often stuck stand above" if any(map(does_not_get_past, rows)) else ""
+        order = f"By {_RANKED[ranked_by]}, the safest car last{stuck}"
         rows = sorted(rows, key=lambda one: (not does_not_get_past(one), float(one[ranked_by])))
     heads = ["car", "margin\n(m)", "95 %\nby φ", "nominal\ncollisions", "risk\nR(1)", "time\nlost (s)"]
     heads.append("equivalent\nmultiplier")

@@ -374,7 +374,7 @@ def user_controller(controller: Controller, name: str) -> UserController:
 
 
 def _class_named(name: str) -> str:
-    """Return `; did you mean …?` for a class whose module is missing, a file or before a dot; empty for other names."""
+    """Return `; did you mean …?` for a class without its file, or written as `module.Class`; else an empty string."""
     file, colon, of_file = name.rpartition(":")
     if colon and Path(f"{file}.py").is_file():
         return f"; did you mean {file}.py:{of_file}?"

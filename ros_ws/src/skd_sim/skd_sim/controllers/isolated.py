@@ -38,7 +38,7 @@ LOADING: Final = 10.0
 """Times as long the loading of a controller may take: it may read a large network."""
 FAILED_STARTS: Final = 3
 """So many children in a row that are lost in their first piece of work end the assessment."""
-_SLOW: Final = 10.0  # s of a call after which a line says that it is still going on
+_SLOW: Final = 10.0  # s after which a line warns of a call that has not returned
 _POLL: Final = 0.25  # s between two looks at whether the child lives and its call is in time
 _PATIENCE: Final = 1.0  # s for a child whose pipe is closed to end by itself, so that its exit code is seen
 
@@ -70,7 +70,7 @@ class _Here:
         children: children by the name of whose code they run.
         owner: id of the process whose children these are.
         failed: how many children in a row were lost in their first piece of work.
-        told: whether it has said that a call takes long.
+        warned: whether it has warned of a slow call.
     """
 
     limit = CALL_LIMIT
@@ -79,7 +79,7 @@ class _Here:
     children: Final[dict[str, IsolatedProcess]] = {}
     owner = 0
     failed = 0
-    told = False
+    warned = False
 
 
 def set_call_limit(seconds: float) -> None:
@@ -251,8 +251,8 @@ class IsolatedProcess:
             taken = time.monotonic() - end + allowed if end else 0.0
             if taken > allowed:
                 self._lose(AbortKind.NO_ANSWER, f"a call took more than {allowed:g} s")
-            if taken > _SLOW and not _Here.told:
-                _Here.told = True
+            if taken > _SLOW and not _Here.warned:
+                _Here.warned = True
                 what = f"skd: a call of {self._whose} has taken {_SLOW:g} s; after {allowed:g} s its episode is aborted"
                 print(what, file=sys.stderr)
 

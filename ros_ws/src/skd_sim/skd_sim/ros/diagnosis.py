@@ -357,10 +357,7 @@ def _arrives_elsewhere(seen: Evidence) -> str | None:
 
 
 def _hears_nothing(seen: Evidence) -> str | None:
-    """Of a stack that listens to topics where no node publishes, and to none by which it could see the car.
-
-    So, too, of one that listens to none by which it could see whom it may hit, and to such an odometry.
-    """
+    """Of a stack that cannot see the car, or not the adversary, and listens to topics that no node publishes."""
     hears = {topic for topic in _STATES if seen.full(topic) in seen.listened}
     of_car = hears - {Topic.ADVERSARY_ODOMETRY, Topic.ADVERSARY_DETECTIONS}
     alone = hears <= {Topic.EGO_ODOMETRY, Topic.EGO_IMU, Topic.TF} and any(_remaps(seen).values())
@@ -368,9 +365,9 @@ def _hears_nothing(seen: Evidence) -> str | None:
 
 
 def _remaps(seen: Evidence) -> dict[str, str]:
-    """Return topics that a stack listens to and no node publishes, its own odometry first.
+    """Return the topics that a stack listens to and no node publishes, each with the odometry to remap it to.
 
-    Each with the odometry to which it is to be remapped, that the stack does not listen to yet; empty: not known.
+    That is one to which the stack does not listen yet, the car's first; empty: not known.
     """
     lacking = [topic for topic in seen.listened if not seen.node.count_publishers(topic)]
     lacking.sort(key=lambda topic: "odom" not in topic and "ego" not in topic)

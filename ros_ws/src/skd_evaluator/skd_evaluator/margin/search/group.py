@@ -60,7 +60,7 @@ class Source:
 
     @property
     def earns(self) -> float:
-        """Lately, m a candidate."""
+        """How much it has lowered margins lately, m a candidate."""
         return self.lately_lowered / self.lately_used
 
 
