@@ -81,9 +81,9 @@ def jeffreys_interval(successes: int, trials: int) -> Interval | None:
     Of rare events it holds 95 %, where Wilson's interval misses one seen by chance. Counts and what is returned are
     those of `wilson_interval`.
     """
-    posterior = successes + 0.5, trials - successes + 0.5
-    low = float(scipy.special.betaincinv(*posterior, 0.025)) if successes else 0.0
-    high = float(scipy.special.betaincinv(*posterior, 0.975)) if successes < trials else 1.0
+    tail, posterior = 0.5 * (1.0 - 0.95), (successes + 0.5, trials - successes + 0.5)  # digests have this last bit
+    low = float(scipy.special.betaincinv(*posterior, tail)) if successes else 0.0
+    high = float(scipy.special.betaincinv(*posterior, 1.0 - tail)) if successes < trials else 1.0
     return (low, high) if trials else None
 
 
